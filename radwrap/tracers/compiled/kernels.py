@@ -31,12 +31,55 @@ from radwrap.tracers.compiled.beams import radiance_along
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.covers import LEAST_COSINE, diffuse_at, painted, reflected
 from radwrap.tracers.compiled.intersect import closest
-from radwrap.tracers.compiled.shadows import darken, darken_own
+from radwrap.tracers.compiled.neighbours import NEIGHBOURS, NOT_ASKED, darken, put_around
+from radwrap.tracers.compiled.shadows import darken_own
 from radwrap.tracers.compiled.shine import received, towards
 from radwrap.tracers.compiled.wide_points import key_of_ray
 from radwrap.tracers.compiled.wide_shine import sent
 
 NOTHING_MET: Final = -(1 << 62)
+
+
+@compiled
+def meet(
+    shapes: Shapes,
+    nodes: Nodes,
+    discs: Shapes,
+    disc_nodes: Nodes,
+    tables: Floats,
+    rays: Floats,
+    x0: float,
+    y0: float,
+    z0: float,
+    units: float,
+    lengths: Floats,
+    met: Whole,
+    stack: Whole,
+) -> bool:
+    """Which shapes rays meet first.
+
+    Parameters
+    ----------
+    shapes, nodes, discs, disc_nodes, tables, rays, x0, y0, z0, units, stack
+        As `trace`.
+    lengths : ndarray, shape (n,)
+        Filled with the distance to the first surface in the text's unit, infinite where there is none.
+    met : ndarray of int, shape (n,)
+        Filled with the number of the shape that is met, -2 minus that of an emitter's, or -1 where there is none.
+
+    Returns
+    -------
+    bool
+        Whether all rays had finite numbers and a direction; it ends at the first that has not.
+    """
+    for r in range(len(rays)):
+        good, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
+        if not good:
+            return False
+        distance, target = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
+        lengths[r], disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
+        met[r] = target if disc < 0 else -2 - disc
+    return True
 
 
 @compiled
@@ -66,13 +109,18 @@ def trace(
     values: Floats,
     lengths: Floats,
     met: Whole,
-    again: bool,
+    order: Whole,
     given: Floats,
+    points: Floats,
+    around: Floats,
+    asked: Whole,
+    between: Whole,
+    heights: Floats,
     known: Whole,
     chosen: Whole,
     room: Floats,
     stack: Whole,
-) -> bool:
+) -> None:
     """Radiance along rays, from each group of emitters.
 
     Parameters
@@ -103,30 +151,23 @@ def trace(
         The text's origin in the world [m], and its units in a metre.
     values : ndarray, shape (n, columns)
         To which radiance is added [W m^-2 sr^-1], in the column of each light.
-    lengths : ndarray, shape (n,)
-        Filled with the distance to the first surface in the text's unit, infinite where there is none.
-    met : ndarray of int, shape (n,)
-        Filled with the number of the shape that is met, -2 minus that of an emitter's, or -1 where there is none.
-    again : bool
-        Whether both are filled already, by a call with the same rays and trees.
-    given, room : ndarray, shape (lights,), (CUTS,)
-        Room to work in; see `wide_beam`.
-    known, chosen, stack : ndarray of int
-        Room to work in; see `wide_cells` and `tree.DEPTH`.
-
-    Returns
-    -------
-    bool
-        Whether all rays had finite numbers and a direction; it ends at the first that has not.
+    lengths, met : ndarray, ndarray of int, shape (n,)
+        What `meet` found of them.
+    order : ndarray of int, shape (n,)
+        The rays, those that meet near places near each other. The radiance does not hang on it.
+    given, points, around, asked, between, heights
+        Room to work in; see `neighbours.darken`.
+    known, chosen, room, stack
+        Room to work in; see `wide_cells`, `wide_beam` and `tree.DEPTH`.
     """
-    for r in range(len(rays)):
-        good, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
-        if not good:
-            return False
-        if not again:
-            distance, target = closest(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, math.inf, stack)
-            lengths[r], disc = closest(discs, disc_nodes, tables, ox, oy, oz, dx, dy, dz, distance, stack)
-            met[r] = target if disc < 0 else -2 - disc
+    count = 0
+    for k in range(len(order)):
+        r = order[k]
+        if k % NEIGHBOURS == 0:
+            count = put_together(rays, order[k : k + NEIGHBOURS], x0, y0, z0, units, lengths, met, points)
+            put_around(points, count, around)
+            asked[:] = NOT_ASKED
+        _, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
         distance, number = lengths[r], met[r]
         if number < -1:
             disc = -2 - number
@@ -161,7 +202,27 @@ def trace(
                         given[i] *= reflected(
                             cover, tables, diffuse, nx, ny, nz, -dx, -dy, -dz, lx, ly, lz, flat * solid_angle
                         )
-            darken(lights, cluster, parts, shapes, nodes, tables, x, y, z, itself, given, stack)
+            darken(
+                lights,
+                cluster,
+                c,
+                parts,
+                shapes,
+                nodes,
+                tables,
+                points,
+                count,
+                around,
+                x,
+                y,
+                z,
+                itself,
+                given,
+                asked,
+                between,
+                heights,
+                stack,
+            )
             if cluster.may_be_hidden:
                 darken_own(lights, cluster, discs, disc_nodes, tables, x, y, z, given, stack)
             for i in range(cluster.first, cluster.end):
@@ -196,7 +257,29 @@ def trace(
                     room,
                     stack,
                 )
-    return True
+
+
+@compiled
+def put_together(
+    rays: Floats,
+    some: Whole,
+    x0: float,
+    y0: float,
+    z0: float,
+    units: float,
+    lengths: Floats,
+    met: Whole,
+    points: Floats,
+) -> int:
+    """Fill in where some rays meet targets, in the text's frame; how many do."""
+    count = 0
+    for r in some:
+        if met[r] >= 0:
+            _, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
+            t = lengths[r]
+            points[count, 0], points[count, 1], points[count, 2] = ox + t * dx, oy + t * dy, oz + t * dz
+            count += 1
+    return count
 
 
 @compiled

@@ -10,7 +10,6 @@ from radwrap.tracers.compiled.arrays import (
     RECTANGLE,
     TRIANGLE,
     Cluster,
-    Clusters,
     Floats,
     Light,
     Lights,
@@ -29,54 +28,8 @@ TOGETHER: Final = 8
 # Heights over a plane, for each unit of distance, from which on rounding does not matter, and from which on what is at
 # the other end may touch the plane.
 OFF: Final = 1e-7
-_WELLOFF: Final = 0.01
-
-
-@compiled
-def darken(
-    lights: Lights,
-    cluster: Cluster,
-    parts: Clusters,
-    shapes: Shapes,
-    nodes: Nodes,
-    tables: Floats,
-    x: float,
-    y: float,
-    z: float,
-    itself: int,
-    given: Floats,
-    stack: Whole,
-) -> None:
-    """Take away what a point gets of the lights of a cluster that any shape but one hides from it.
-
-    Parameters
-    ----------
-    lights, cluster, parts
-        All lights, some that follow each other, and these in smaller groups.
-    shapes, nodes, tables
-        What may stand between.
-    x, y, z : float
-        The point.
-    itself : int
-        Shape that does not count, or -1.
-    given : ndarray, shape (lights,)
-        What each light gives; 0 afterwards where it is hidden.
-    stack : ndarray of int, shape (DEPTH,)
-        Room to work in.
-    """
-    asked, part, part_free = False, -1, False
-    for i in range(cluster.first, cluster.end):
-        if not given[i] > 0:
-            continue
-        if not asked:
-            asked = True
-            if clear(shapes, nodes, cluster, x, y, z, itself, stack):
-                return
-        if cluster.part + (i - cluster.first) // TOGETHER != part:
-            part = cluster.part + (i - cluster.first) // TOGETHER
-            part_free = clear(shapes, nodes, parts[part], x, y, z, itself, stack)
-        if not part_free and _is_hidden(lights[i], shapes, nodes, tables, x, y, z, itself, stack):
-            given[i] = 0.0
+WELL_OFF: Final = 0.01
+ON: Final = -WELL_OFF * NEAREST
 
 
 @compiled
@@ -219,5 +172,5 @@ def aside(
     if far > OFF * away and here > OFF * away:
         return True
     # One may touch the plane, as rays then meet it no farther from their ends than they may.
-    on, off = -_WELLOFF * NEAREST, _WELLOFF * away
-    return may_touch and ((far > off and here > on) or (here > off and far > on))
+    off = WELL_OFF * away
+    return may_touch and ((far > off and here > ON) or (here > off and far > ON))

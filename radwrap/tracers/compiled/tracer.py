@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import TracerError
+from radwrap.tracers.compiled.along_curve import along_curve
 from radwrap.tracers.compiled.arrays import Floats, Whole
 from radwrap.tracers.compiled.hits import Hits, KeptHits
-from radwrap.tracers.compiled.kernels import NOTHING_MET, surfaces, trace
+from radwrap.tracers.compiled.kernels import NOTHING_MET, meet, surfaces, trace
 from radwrap.tracers.compiled.layout import CompiledScene
+from radwrap.tracers.compiled.neighbours import LISTED, NEIGHBOURS
 from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.compiled.wide_beam import CUTS
 from radwrap.tracers.compiled.wide_cells import CELLS, memory
@@ -142,14 +144,16 @@ class CompiledTracer:
         hits = known or Hits(np.empty(count), np.empty(count, dtype=np.int64))
         values = np.zeros((count, columns))
         known_places = self.memories.pop() if self.memories else memory()
+        stack = np.empty(DEPTH, dtype=np.int64)
         for part in self._parts(
             len(block), len(lights) + (POINTS_OF_A_LIGHT << max(0, -scene.halvings)) * len(scene.wides)
         ):
-            good = trace(
-                scene.targets.shapes,
-                scene.targets.nodes,
-                scene.emitters.shapes,
-                scene.emitters.nodes,
+            lengths, met = hits.lengths[part], hits.met[part]
+            rays, (x0, y0, z0), units = block[part], scene.frame.origin, float(scene.frame.units)
+            if known is None:
+                _check(meet(*self._there, scene.tables, rays, x0, y0, z0, units, lengths, met, stack))
+            trace(
+                *self._there,
                 scene.covers,
                 scene.decals,
                 lights,
@@ -163,24 +167,36 @@ class CompiledTracer:
                 scene.alike,
                 scene.background,
                 scene.tables,
-                block[part],
-                *scene.frame.origin,
-                float(scene.frame.units),
+                rays,
+                x0,
+                y0,
+                z0,
+                units,
                 values[part],
-                hits.lengths[part],
-                hits.met[part],
-                known is not None,
+                lengths,
+                met,
+                along_curve(scene.targets.nodes, rays, x0, y0, z0, units, lengths, met),
                 np.empty(len(lights)),
+                np.empty((NEIGHBOURS, 3)),
+                np.empty(6),
+                np.empty(len(lights) + len(scene.parts_of_clusters) + len(scene.clusters), dtype=np.int64),
+                np.empty((len(lights) + len(scene.parts_of_clusters), LISTED), dtype=np.int64),
+                np.empty((len(scene.parts_of_clusters), LISTED, 2)),
                 known_places,
                 np.empty(CELLS * CELLS, dtype=np.int64),
                 np.empty(CUTS),
-                np.empty(DEPTH, dtype=np.int64),
+                stack,
             )
-            _check(good)
         self.memories.append(known_places)
         if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
             raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
         return values, hits
+
+    @property
+    def _there(self) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]:
+        """Shapes of targets and of emitters, each with its tree."""
+        targets, emitters = self.scene.targets, self.scene.emitters
+        return targets.shapes, targets.nodes, emitters.shapes, emitters.nodes
 
     def _met(self, block: Floats) -> tuple[Floats, Floats, Whole]:
         scene = self.scene
@@ -188,10 +204,7 @@ class CompiledTracer:
         found = np.empty(len(block), dtype=np.int64)
         for part in self._parts(len(block), 1):
             good = surfaces(
-                scene.targets.shapes,
-                scene.targets.nodes,
-                scene.emitters.shapes,
-                scene.emitters.nodes,
+                *self._there,
                 scene.decals,
                 scene.tables,
                 block[part],

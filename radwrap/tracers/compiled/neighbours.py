@@ -1,0 +1,310 @@
+"""Points near each other, and what may stand between them and lights: asked once for all of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from radwrap.tracers.compiled.arrays import (
+    DISC,
+    POLYGON,
+    RECTANGLE,
+    TRIANGLE,
+    Cluster,
+    Clusters,
+    Floats,
+    Light,
+    Lights,
+    Nodes,
+    Shape,
+    Shapes,
+    Whole,
+)
+from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.intersect import NEAREST, crossing, hidden, inverse_of
+from radwrap.tracers.compiled.shadows import OFF, ON, TOGETHER, WELL_OFF, overlap
+from radwrap.tracers.compiled.shine import towards
+
+# Points that are asked about together: more share the cost of asking, but lie farther apart, so that more may stand
+# between them and a light.
+NEIGHBOURS: Final = 16
+# Shapes for which a list has room; where more may stand between, each point asks the tree.
+LISTED: Final = 64
+NOT_ASKED: Final = -1
+ALL_HIDDEN: Final = -2
+# How much of a box lies behind something, as a light sees it.
+NOWHERE: Final = 0
+PARTLY: Final = 1
+WHOLLY: Final = 2
+
+
+@compiled
+def darken(
+    lights: Lights,
+    cluster: Cluster,
+    number: int,
+    parts: Clusters,
+    shapes: Shapes,
+    nodes: Nodes,
+    tables: Floats,
+    points: Floats,
+    count: int,
+    around: Floats,
+    x: float,
+    y: float,
+    z: float,
+    itself: int,
+    given: Floats,
+    asked: Whole,
+    between: Whole,
+    heights: Floats,
+    stack: Whole,
+) -> None:
+    """Take away what a point gets of the lights of a cluster that any shape but one hides from it.
+
+    What stands between all points and the whole cluster is asked first, then what does between them and a part of it,
+    and of that what does between them and a light: often nothing, or what hides it from all.
+
+    Parameters
+    ----------
+    lights, cluster, number, parts
+        All lights, some that follow each other, the number of this cluster, and smaller groups.
+    shapes, nodes, tables
+        What may stand between.
+    points, count, around : ndarray, shape (NEIGHBOURS, 3), int, ndarray, shape (6,)
+        Points that lie together, the point among them, how many they are, and the box about them.
+    x, y, z : float
+        The point.
+    itself : int
+        Shape that does not count, or -1.
+    given : ndarray, shape (lights,)
+        What each light gives; 0 afterwards where it is hidden.
+    asked : ndarray of int, shape (lights + parts + clusters,)
+        How many shapes may stand between all these points and each; or `NOT_ASKED` yet, or known to be `ALL_HIDDEN`.
+    between : ndarray of int, shape (lights + parts, LISTED)
+        Which.
+    heights : ndarray, shape (parts, LISTED, 2)
+        See `_standing`.
+    stack : ndarray of int, shape (DEPTH,)
+        Room to work in.
+    """
+    whole = len(lights) + len(parts) + number
+    for i in range(cluster.first, cluster.end):
+        if not given[i] > 0:
+            continue
+        part = cluster.part + (i - cluster.first) // TOGETHER
+        group = len(lights) + part
+        if asked[whole] == NOT_ASKED:
+            box = box_of(cluster)
+            asked[whole] = _standing(shapes, nodes, points, count, around, box, between[group], heights[part], 0, stack)
+        if asked[whole] == 0:
+            return
+        if asked[group] == NOT_ASKED:
+            box, row = box_of(parts[part]), between[group]
+            asked[group] = _standing(shapes, nodes, points, count, around, box, row, heights[part], LISTED, stack)
+        if asked[group] == 0:
+            continue
+        light = lights[i]
+        if asked[i] == NOT_ASKED:
+            asked[i] = _before(shapes, around, light, asked[group], between[group], heights[part], between[i])
+        if asked[i] == 0:
+            continue
+        if asked[i] == ALL_HIDDEN:
+            given[i] = 0.0
+            continue
+        lx, ly, lz, away, _ = towards(light, x, y, z)
+        if asked[i] > LISTED:
+            if hidden(shapes, nodes, tables, x, y, z, lx, ly, lz, away, itself, stack):
+                given[i] = 0.0
+            continue
+        for k in range(asked[i]):
+            s = between[i, k]
+            if s != itself and crossing(shapes[s], tables, x, y, z, lx, ly, lz) < away:
+                given[i] = 0.0
+                break
+
+
+@compiled
+def box_of(cluster: Cluster) -> tuple[float, float, float, float, float, float]:
+    """Least and largest places of a cluster."""
+    return cluster.x0, cluster.y0, cluster.z0, cluster.x1, cluster.y1, cluster.z1
+
+
+@compiled
+def put_around(points: Floats, count: int, around: Floats) -> None:
+    """Fill in the least and largest places of points, shape (6,)."""
+    for axis in range(3):
+        low = high = points[0, axis]
+        for n in range(1, count):
+            low, high = min(low, points[n, axis]), max(high, points[n, axis])
+        around[axis], around[3 + axis] = low, high
+
+
+@compiled
+def _standing(
+    shapes: Shapes,
+    nodes: Nodes,
+    points: Floats,
+    count: int,
+    around: Floats,
+    there: tuple[float, float, float, float, float, float],
+    found: Whole,
+    heights: Floats,
+    room: int,
+    stack: Whole,
+) -> int:
+    """How many shapes may stand between points and any place in a box, at most one more than there is room for.
+
+    As `shadows.clear_between`, but with the points themselves held against the planes of shapes. What is found is sure
+    to hold all that do, each with the points' least and largest height over its plane.
+    """
+    if not len(nodes):
+        return 0
+    x0, y0, z0, x1, y1, z1 = around[0], around[1], around[2], around[3], around[4], around[5]
+    ax, bx, ay, by, az, bz = there[0] - x0, there[3] - x1, there[1] - y0, there[4] - y1, there[2] - z0, there[5] - z1
+    iax, ibx, iay, iby = inverse_of(ax), inverse_of(bx), inverse_of(ay), inverse_of(by)
+    iaz, ibz = inverse_of(az), inverse_of(bz)
+    away = farthest(around, there)
+    listed, height = 0, 1
+    stack[0] = 0
+    while height:
+        height -= 1
+        node = stack[height]
+        box = nodes[node]
+        near, far = overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
+        near, far = overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
+        near, far = overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
+        if near > far:
+            continue
+        if not box.count:
+            stack[height], stack[height + 1] = box.second, node + 1
+            height += 2
+            continue
+        for i in range(box.first, box.first + box.count):
+            low, high = _heights(shapes[i], points, count)
+            if not _on_one_side(shapes[i], low, high, there, away):
+                if listed == room:
+                    return room + 1
+                found[listed], heights[listed, 0], heights[listed, 1] = i, low, high
+                listed += 1
+    return listed
+
+
+@compiled
+def farthest(around: Floats, there: tuple[float, float, float, float, float, float]) -> float:
+    """At least the distance of any two places in two boxes."""
+    return (
+        max(there[3] - around[0], around[3] - there[0])
+        + max(there[4] - around[1], around[4] - there[1])
+        + max(there[5] - around[2], around[5] - there[2])
+    )
+
+
+@compiled
+def _heights(s: Shape, points: Floats, count: int) -> tuple[float, float]:
+    """Least and largest height of points over a flat shape's plane; no bounds where it is not flat."""
+    if s.kind not in (TRIANGLE, RECTANGLE, POLYGON, DISC):
+        return -math.inf, math.inf
+    low, high = math.inf, -math.inf
+    for n in range(count):
+        height = (points[n, 0] - s.x) * s.nx + (points[n, 1] - s.y) * s.ny + (points[n, 2] - s.z) * s.nz
+        low, high = min(low, height), max(high, height)
+    return low, high
+
+
+@compiled
+def _on_one_side(
+    s: Shape, low: float, high: float, there: tuple[float, float, float, float, float, float], away: float
+) -> bool:
+    """Whether points of known heights and a box, at most so far apart, lie on one side of a flat shape's plane.
+
+    The points may touch it, as rays then meet it no farther from their ends than they may.
+    """
+    x, y, z = (there[0] + there[3]) / 2 - s.x, (there[1] + there[4]) / 2 - s.y, (there[2] + there[5]) / 2 - s.z
+    dx, dy, dz = there[3] - there[0], there[4] - there[1], there[5] - there[2]
+    middle, half = x * s.nx + y * s.ny + z * s.nz, (abs(s.nx) * dx + abs(s.ny) * dy + abs(s.nz) * dz) / 2
+    if middle < 0:
+        middle, low = -middle, -high
+    far, off = middle - half, OFF * away
+    return (far > WELL_OFF * away and low > ON) or (far > off and low > off)
+
+
+@compiled
+def _before(
+    shapes: Shapes, around: Floats, light: Light, count: int, group: Whole, heights: Floats, found: Whole
+) -> int:
+    """How many of the shapes that may stand between points and a group of lights may before one, or `ALL_HIDDEN`.
+
+    Parameters
+    ----------
+    shapes, around, light
+        As `darken`.
+    count, group, heights : int, ndarray of int, ndarray
+        How many shapes, or more than `LISTED`; which, and the points' heights over them.
+    found : ndarray of int, shape (LISTED,)
+        Filled with those that may.
+    """
+    if count > LISTED:
+        return count
+    there = (light.x, light.y, light.z, light.x, light.y, light.z)
+    away = farthest(around, there)
+    left = 0
+    for k in range(count):
+        s, low, high = shapes[group[k]], heights[k, 0], heights[k, 1]
+        if _on_one_side(s, low, high, there, away):
+            continue
+        seen = _seen_behind(s, around, light) if s.kind == TRIANGLE else PARTLY
+        if seen == WHOLLY and _is_parted(s, low, high, light, away):
+            return ALL_HIDDEN
+        if seen != NOWHERE:
+            found[left] = group[k]
+            left += 1
+    return left
+
+
+@compiled
+def _is_parted(s: Shape, low: float, high: float, light: Light, away: float) -> bool:
+    """Whether a flat shape's plane is between a light and points of known heights, and none touches it."""
+    far = (light.x - s.x) * s.nx + (light.y - s.y) * s.ny + (light.z - s.z) * s.nz
+    if far < 0:
+        far, high = -far, -low
+    return far > WELL_OFF * away and high < -(2 * NEAREST + OFF * away)
+
+
+@compiled
+def _seen_behind(s: Shape, around: Floats, light: Light) -> int:
+    """How much of a box lies in the cone in which a light sees a triangle."""
+    ax, ay, az = s.x - light.x, s.y - light.y, s.z - light.z
+    bx, by, bz = ax + s.ux, ay + s.uy, az + s.uz
+    cx, cy, cz = ax + s.vx, ay + s.vy, az + s.vz
+    # Normals of the planes through the light and each side, all to the inside or all to the outside.
+    px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    inside = px * cx + py * cy + pz * cz
+    # Where rounding decides that, the light lies in the triangle's plane, and it hides nothing that is off the plane.
+    side = 1.0 if inside > 0 else -1.0
+    one = _beyond(side, px, py, pz, around, light)
+    if one == NOWHERE:
+        return NOWHERE
+    qx, qy, qz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    two = _beyond(side, qx, qy, qz, around, light)
+    if two == NOWHERE:
+        return NOWHERE
+    rx, ry, rz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    return min(one, two, _beyond(side, rx, ry, rz, around, light))
+
+
+@compiled
+def _beyond(side: float, nx: float, ny: float, nz: float, around: Floats, light: Light) -> int:
+    """How much of a box lies on that side of a plane through a light."""
+    x, y, z = (
+        (around[0] + around[3]) / 2 - light.x,
+        (around[1] + around[4]) / 2 - light.y,
+        (around[2] + around[5]) / 2 - light.z,
+    )
+    dx, dy, dz = around[3] - around[0], around[4] - around[1], around[5] - around[2]
+    wide, high, deep = abs(nx), abs(ny), abs(nz)
+    place, half = side * (nx * x + ny * y + nz * z), (wide * dx + high * dy + deep * dz) / 2
+    off = OFF * (wide * abs(x) + high * abs(y) + deep * abs(z))
+    if place + half < -off:
+        return NOWHERE
+    return WHOLLY if place - half > off else PARTLY
