@@ -20,6 +20,9 @@ def load_tracer() -> None:
     """Load what the compiled tracer needs, and most scenes are traced by, before a scene is there."""
     with suppress(ImportError):  # a render says what it lacks
         import_module("radwrap.tracers.compiled.engine")
+        warm = import_module("radwrap.tracers.compiled.warm")
+        if warm.is_warm():  # then it compiles nothing, but takes machine code from where it is kept
+            warm.warm_up()
 
 
 class Warmth:

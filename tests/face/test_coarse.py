@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -215,3 +217,21 @@ def test_a_stop_between_its_trace_and_the_next_is_not_lost(session: Session, mon
     session.trace()
     (first,) = seen(session)
     assert first.coarse is not None and session.status.state == "stopped"
+
+
+@pytest.mark.long
+def test_the_renderer_has_loaded_what_is_compiled_before_it_is_asked() -> None:
+    """It took a fifth of the first picture's time."""
+    warm = pytest.importorskip("radwrap.tracers.compiled.warm", exc_type=ImportError)
+    code = (
+        "from radwrap.face.warmth import load_tracer\n"
+        "from radwrap.tracers.compiled.warm import is_warm\n"
+        "before = is_warm()\n"
+        "load_tracer()\n"
+        "from radwrap.tracers.compiled.kernels import meet, trace\n"
+        "print(before, all(one.overloads for one in (meet, trace)))\n"
+    )
+    warm.warm_up()
+    assert (
+        subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "True True\n"
+    )
