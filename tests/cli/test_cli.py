@@ -138,6 +138,7 @@ def test_init_writes_a_scene_that_renders(tmp_path: Path, capsys: pytest.Capture
     assert scene.read_text("utf-8") == text + "# mine\n"
 
 
+@pytest.mark.long
 def test_what_the_first_scene_holds_in_comments_is_right(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     here(["init", tmp_path], capsys).success()
     lines = (tmp_path / "scene.toml").read_text("utf-8").splitlines()
@@ -432,6 +433,7 @@ def test_a_dry_run_refuses_frames_as_the_run_does(tmp_path: Path, capsys: pytest
     assert told[0] == told[1] and "camera.sensor.model: the power law has no noise" in told[0]
 
 
+@pytest.mark.long
 def test_every_option_of_render_works(tmp_path: Path, capsys: pytest.CaptureFixture[str], radiance: Path) -> None:
     told = here(["render", "--help"], capsys).stdout
     options = set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", told, re.MULTILINE)) - {"--help"}

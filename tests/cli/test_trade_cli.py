@@ -33,6 +33,7 @@ def _rows(numbers: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {row["name"]: row for row in numbers["settings"]}
 
 
+@pytest.mark.long
 def test_a_trade_writes_all_it_promises_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, out = write_scene(tmp_path), tmp_path / "out"
     done = here(_argv(scene, out, "--json"), capsys).success()

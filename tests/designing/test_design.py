@@ -156,6 +156,7 @@ def test_a_render_that_failed_is_made_again_when_asked_for(
     assert "is not as it was written" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_what_keeps_no_limit_is_exit_code_1(
     design_file: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

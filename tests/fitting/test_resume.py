@@ -23,7 +23,10 @@ def _stamps(out: Path) -> dict[str, tuple[int, int]]:
     return {str(path.relative_to(out)): (path.stat().st_ino, path.stat().st_mtime_ns) for path in found}
 
 
-@pytest.mark.parametrize(("stage", "bases"), [((light, "source_images"), FIRST), ((fitting, "write_fit"), 2)])
+@pytest.mark.parametrize(
+    ("stage", "bases"),
+    [pytest.param((light, "source_images"), FIRST, marks=pytest.mark.long), ((fitting, "write_fit"), 2)],
+)
 def test_a_killed_fit_traces_nothing_twice(
     bench: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: tuple[Any, str], bases: int
 ) -> None:

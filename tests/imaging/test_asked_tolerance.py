@@ -107,6 +107,7 @@ def test_noise_is_that_of_the_lit_pixels(electrons: tuple[float, float]) -> None
     assert rays == ROWS * COLUMNS * 4
 
 
+@pytest.mark.long
 def test_darkness_has_the_noise_of_darkness() -> None:
     with traced_scene(panels((1e-9, 1e-9))) as view:
         noise, _ = lit_noise(view)

@@ -155,6 +155,7 @@ def test_below_a_pixel_few_instants_are_exact() -> None:
     assert np.abs(share - ramp(np.arange(COLUMNS), MIDDLE, 0.6)).max() < RAMP
 
 
+@pytest.mark.long
 def test_a_flash_freezes_what_moves_where_it_is_then() -> None:
     tables = document(velocity=velocity(8.0))
     for source in tables["sources"]:

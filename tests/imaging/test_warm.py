@@ -6,7 +6,7 @@ import inspect
 import json
 import threading
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -160,17 +160,19 @@ class _Followed:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.asked: dict[bytes, int] = {}
         self.followed: set[bytes] = set()
-        trace = compiled_tracer.trace
-        names = list(inspect.signature(getattr(trace, "py_func", trace)).parameters)
+        self._keep(monkeypatch, "trace", lambda block: self.asked.update({block.tobytes(): len(block)}))
+        self._keep(monkeypatch, "meet", lambda block: self.followed.add(block.tobytes()))
 
-        def counted(*arguments: Any) -> bool:
-            again, block = (arguments[names.index(name)] for name in ("again", "rays"))
-            self.asked[block.tobytes()] = len(block)
-            if not again:
-                self.followed.add(block.tobytes())
-            return bool(trace(*arguments))
+    @staticmethod
+    def _keep(monkeypatch: pytest.MonkeyPatch, name: str, seen: Callable[[np.ndarray], object]) -> None:
+        function = getattr(compiled_tracer, name)
+        place = list(inspect.signature(getattr(function, "py_func", function)).parameters).index("rays")
 
-        monkeypatch.setattr(compiled_tracer, "trace", counted)
+        def counted(*arguments: Any) -> Any:
+            seen(arguments[place])
+            return function(*arguments)
+
+        monkeypatch.setattr(compiled_tracer, name, counted)
 
 
 @pytest.mark.parametrize(
@@ -205,6 +207,7 @@ def test_the_same_rays_are_not_followed_again(
     assert sum(seen.asked.values()) < sum(first.values()) or name != "exposure"
 
 
+@pytest.mark.long
 def test_what_is_known_of_the_tracers_is_asked_again_where_it_may_have_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     programs: list[str] = []
     start = Programs._enter

@@ -117,6 +117,7 @@ def scene_of(diffraction: str, **camera_values: object) -> radwrap.Scene:
     return radwrap.scene_from_document(document)
 
 
+@pytest.mark.long
 def test_a_scene_has_waves_where_they_matter() -> None:
     """Known of this scene by a fast Fourier transform of its pupil and a finer central image: 5.39 rms, peak 156.2."""
     without, auto = (radwrap.render(scene_of(key), options=COMPILED, tolerance=2) for key in ("off", "auto"))

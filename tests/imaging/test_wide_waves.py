@@ -95,6 +95,7 @@ def test_no_ray_goes_where_nothing_changes_but_smoothly() -> None:
     assert parts[0].rays < 0.9 * parts[1].rays  # beside the sensor all are traced
 
 
+@pytest.mark.long
 def test_smaller_blocks_too_are_known_in_other_light() -> None:
     """Each source of two wide ones: its waves once had the light of both, where blocks are small."""
     with laid_out(scene_with("on", sources=[BAR, DOME]), COMPILED) as traced:

@@ -125,6 +125,7 @@ def test_list_show_and_off(capsys: pytest.CaptureFixture[str]) -> None:
     assert "as commanded" in done.stdout and "emulated" in done.stderr
 
 
+@pytest.mark.long
 def test_doctor_knows_the_way_to_the_ring(capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def row() -> dict[str, Any]:
         told = here(["doctor", "--json"], capsys).success().json

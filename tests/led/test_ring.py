@@ -380,6 +380,7 @@ def test_what_cannot_be_ended_is_turned_off_and_told(
     assert not shines()
 
 
+@pytest.mark.long
 def test_a_killed_command_leaves_no_process_and_no_file(tmp_path: Path) -> None:
     """Guardian and emulator of --emulate end on their own."""
     (tmp_path / "drive.toml").write_text(DRIVE_FILE)

@@ -376,6 +376,7 @@ def test_without_the_model_neighbours_would_draw_outer_dots_outwards() -> None:
     assert np.abs(error[0, :, 1]).max() < 0.05
 
 
+@pytest.mark.long
 def test_vignetted_and_partly_dim_boards() -> None:
     def vignetted(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         return np.clip(1 - ((u - 60) ** 2 + (v - 60) ** 2) / 130.0**2, 0.02, 1)
@@ -391,6 +392,7 @@ def test_vignetted_and_partly_dim_boards() -> None:
     assert any("no smooth law" in warning for warning in found.warnings)
 
 
+@pytest.mark.long
 def test_saturated_dots_are_counted() -> None:
     picture = drawn(levels=(20, 400), rounded=True)
     dots = by(picture)
@@ -566,6 +568,7 @@ def test_dots_near_known_ones_are_those_that_a_search_finds(blur: float) -> None
         assert np.abs(there - here).max() < 1e-3 * moved
 
 
+@pytest.mark.long
 def test_dots_that_are_not_near_are_sought() -> None:
     first, other = drawn(), drawn(offset=(0.31 + 22.37 / 2, -0.17), size=(165, 202))
     known = seek_dots(first.gray, 5, 5, pitch=PITCH, dot_diameter=DIAMETER)

@@ -395,6 +395,7 @@ def test_a_thin_ring_in_a_plane_is_round_there() -> None:
     assert (outer.diameter, inner.diameter) == (pytest.approx(4.2e-3, abs=2e-6), pytest.approx(3.4e-3, abs=2e-6))
 
 
+@pytest.mark.long
 def test_a_chamfer_is_warned_of() -> None:
     light = ring_picture(SHAPE, CENTRE, (20.0, 16.5), 0.6, (30.0, 110.0, 190.0))
     found = measure_circle(GrayImage(noisy(light, np.random.default_rng(3))), Caliper((30, 31), 18, 6))
@@ -895,6 +896,7 @@ def test_light_that_changes_across_a_stripe_is_no_second_edge() -> None:
         assert abs(line.width - 14) < 4 * (line.width_sigma or 0)
 
 
+@pytest.mark.long
 def test_a_narrow_width_is_warned_of_where_its_blur_is_no_disc() -> None:
     """Under a halo of a fifth of the light a width of 1.6 blurs is off by .3 px; under a disc it is right."""
     dice = np.random.default_rng(3)
@@ -950,7 +952,7 @@ def test_a_width_in_a_plane_is_a_length() -> None:
 ASKEW = np.array([[1, 0, 40], [0, 1, 30], [0, 0, 1]]) @ np.array([[1e4, 0, 0], [0, 0.8e4, 0], [20, 45, 1]])
 
 
-@pytest.mark.parametrize("straight", [True, False])
+@pytest.mark.parametrize("straight", [pytest.param(True, marks=pytest.mark.long), False])
 def test_a_narrow_width_in_a_plane_is_that_of_sides_that_are_parallel_there(straight: bool) -> None:
     """0.7 mm under a blur of 1.4 px: in the image 7.6 px at one end and 6.3 at the other; the map by either way."""
     plane = Plane.of_homography(ASKEW)

@@ -228,6 +228,7 @@ TILTED = {
 }
 
 
+@pytest.mark.long
 def test_a_prediction_is_measured_in_the_plane_of_its_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The disc's 30 mm within what noise and the certified error allow; response and pixels come from the scene."""
     scene = write_scene(tmp_path, TILTED)

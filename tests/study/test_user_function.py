@@ -231,6 +231,7 @@ def test_all_local_modules_belong_to_the_study(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("one_process")
+@pytest.mark.long
 def test_the_whole_command_goes_through_with_own_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = study(tmp_path, DESIGN.replace("frames = 40", "frames = 3"))
     done = here(["study", "run", path, "--out", tmp_path / "out", "--trust", "--workers", 1], capsys).success()
