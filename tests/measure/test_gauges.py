@@ -34,6 +34,7 @@ from radwrap.measure.gauges import (
     measure_region,
     measure_uniformity,
     measure_width,
+    narrow,
 )
 from radwrap.measure.gauges import circle as circle_gauge
 from radwrap.measure.gauges import contour as contour_fit
@@ -974,6 +975,61 @@ def test_a_narrow_width_in_a_plane_is_that_of_sides_that_are_parallel_there(stra
         frames = [measure_width(GrayImage(noisy(light, dice)), caliper, plane=plane) for _ in range(12)]
         z = np.array([(one.width - 7e-4) / one.width_sigma for one in frames if one.width and one.width_sigma])
         assert len(z) == 12 and 0.4 < np.std(z) < 1.6 and abs(z.mean()) < 1.2
+
+
+@pytest.mark.parametrize("noise", [None, 0.02, 1.0])
+@pytest.mark.parametrize(("blur", "along"), [(1.4, 200.0), pytest.param(1.0, 250.0, marks=pytest.mark.long)])
+def test_a_stripe_without_noise_keeps_both_of_its_sides(blur: float, along: float, noise: float | None) -> None:
+    """0.6 mm that are wider at one end; sides are drawn in steps of a tenth of a pixel.
+
+    What these steps leave differs from side to side, and without noise it is all that is left. They move the width by
+    up to a 300th.
+    """
+    plane = Plane.of_homography(
+        np.array([[1, 0, 40], [0, 1, 30], [0, 0, 1]]) @ np.array([[1e4, 0, 0], [0, 0.8e4, 0], [0, along, 1]])
+    )
+
+    def inside(u: Array, v: Array) -> Array:
+        x = plane.to_plane(np.stack([u.ravel(), v.ravel()], axis=-1))[:, 0].reshape(u.shape)
+        return np.abs(x - 2e-5) < 3e-4
+
+    light = any_picture((60, 80), inside, blur, np.array([30.0, 190.0]))
+    if noise is not None:
+        light = light + noise * np.random.default_rng(12).standard_normal(light.shape)
+    found = measure_width(GrayImage(light, 16), StraightCaliper((40.5, 30), 0.0, 36, 14), plane=plane)
+    assert found.width and found.width_sigma
+    assert abs(found.width / 6e-4 - 1) < 1 / 300 + 4 * found.width_sigma / 6e-4
+    assert found.width_sigma < 3e-3 * 6e-4 and found.left_out < 0.2
+
+
+@pytest.mark.parametrize(("share", "tone"), [(0.5, 190.0), (0.5, 110.0), (0.7, 110.0)])
+@pytest.mark.parametrize("noise", [False, True])
+def test_something_beside_half_of_a_side_gives_no_wrong_width(share: float, tone: float, noise: bool) -> None:
+    """Beside one side of 8 px lies something of 4 px, over half of its length or more: without it 8, with it 12."""
+
+    def inside(u: Array, v: Array) -> Array:
+        x, along = u - 40.2, v - 12.0
+        beside = (x >= 4) & (x < 8) & (along > 0) & (along < share * 36)
+        return np.where(beside, 2, np.abs(x) < 4)
+
+    light = any_picture((60, 80), inside, 1.0, np.array([30.0, 190.0, tone]))
+    image = GrayImage(noisy(light, np.random.default_rng(1)) if noise else light, 16)
+    found = measure_width(image, StraightCaliper((40.5, 30), 0.0, 36, 12))
+    right = found.width and found.width_sigma and abs(found.width - 8) < 4 * found.width_sigma + 0.02
+    assert found.warnings or right
+
+
+def test_a_likelihood_that_falls_without_end_has_a_standard_error() -> None:
+    """Three of five widths are out by thousands of variances, on either side of two that fit better than the best."""
+    light = stripe_picture((60, 80), 0.0, 42.0, 6.0, blur=1.4, levels=(30.0, 190.0))
+    shape = stripe_shape(np.array([41.0, 30.0]), 0.0, 24.0, np.array([1.0, 0.0, 6.1]))
+    fit = contour_fit.fit_contour(light_of(GrayImage(light, 16), Response()), shape, 1.5, 10.0, 1.0)
+    best = narrow._best(shape, fit.strip, fit.parameters, fit.blur)
+    nodes = [
+        narrow.Trial(6 + x, 1.4, rise) for x, rise in ((-0.2, 5e3), (-0.1, -4e3), (0, -4e3), (0.1, 0.0), (0.2, 5e3))
+    ]
+    sigma = math.sqrt(narrow._spread_out(shape, fit, best, nodes).covariance[-1, -1])
+    assert 0.03 < sigma < 0.1  # by an even likelihood from -.1 to 0 it is .058
 
 
 def test_a_width_in_a_plane_that_faces_the_camera_is_that_in_pixels() -> None:

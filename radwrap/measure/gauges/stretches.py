@@ -19,7 +19,9 @@ _OUTLIER: Final = 4.5  # standard deviations
 BLOCK: Final = 8.0  # px along the contour
 _SHORTEST_CONTOUR: Final = 8  # blocks of a short contour, which are then shorter
 _BAD_BLOCK: Final = 2.0  # times the usual rms of a block, from where on it shows something else
-_USUAL: Final = 0.35  # quantile of the blocks' rms that is usual, where some show something else
+# Quantile of a rim's blocks' rms that is usual, where some show something else. Of two rims the larger one is: without
+# noise one may be met many times as closely as the other, and all of this one would be left out.
+_USUAL: Final = 0.35
 _FULL_CONTRAST: Final = 0.9  # quantile of the stretches' contrasts that is the contour's, where some have none
 _FLAT: Final = 0.3  # of it; a stretch of less does not show the contour
 _FLAT_SIGMAS: Final = 3.0  # so far below, or noise decides
@@ -69,7 +71,9 @@ def kept_of(shape: Shape, state: State) -> tuple[Flags, float, Flags]:
         return np.abs(state.residual) < _OUTLIER * scale, 1.0, np.ones(count, dtype=np.bool_)
     square = np.bincount(block, np.minimum((state.residual / scale) ** 2, 100.0), minlength=count)
     rms = np.sqrt(square / np.maximum(number, 1))
-    bad = seen & (rms > _BAD_BLOCK * float(np.quantile(rms[seen], _USUAL)))
+    by_rim = zip(np.split(rms, len(state.rims)), np.split(seen, len(state.rims)), strict=True)
+    usual = max(float(np.quantile(blocks[here], _USUAL)) for blocks, here in by_rim if here.any())
+    bad = seen & (rms > _BAD_BLOCK * usual)
     # What something else shows is no measure of what the others leave.
     good = np.abs(state.residual) < _OUTLIER * max(spread_of(state.residual[~bad[block]]), 1e-300)
     return good & ~bad[block], 1 - float(bad.sum() / seen.sum()), seen & ~bad
