@@ -4,8 +4,9 @@ All definitions of a centre take a dot for a disc of even light. What is missing
 and no standard error of noise holds that. The dots of a board look alike, though: the light of each as a function of
 the distance from its rim, in units of its own level, is that of the usual one, the median of all. A dot's level, ground
 and place are fitted to it by robust least squares, and what is left is held against the noise of its pixels, which is
-that of all dots. Dots that are all weak in the middle are alike, and that is looked for by itself: their level is taken
-there, and thresholds hang on it.
+that of all dots: how much it is, and how far it moves the centroid of the light, which a small highlight near the rim
+does while little differs. Dots that are all weak in the middle are alike, and that is looked for by itself: their
+level is taken there, and thresholds hang on it.
 """
 
 from __future__ import annotations
@@ -28,6 +29,14 @@ LEAST: Final = 0.02
 LEAST_TOUCHING: Final = 0.06
 _TIMES: Final = 4.0  # what is usual on the board: fall-off and tilt make all dots differ a little
 _SIGMAS: Final = 6.0  # beyond noise
+# The same of half as much: where the others are alike to that, it is a spot on the rim, which moves an ellipse.
+_FAINT: Final = 0.5
+_FAINT_SIGMAS: Final = 8.0
+# Where light differs beyond noise, but by less than that, a centroid that it moves by so much is a matter: px,
+# times what is usual, and standard errors, as noise moves it on one of 200 boards of 30 dots at most.
+_MOVES: Final = 0.02
+_MOVES_TIMES: Final = 3.0
+_MOVES_SIGMAS: Final = 4.2
 _HOLLOW: Final = 0.1  # of a dot's level, by which its middle may be weaker than what lies around it
 _MIDDLE: Final = 0.4  # radii, that are its middle
 _FEWEST: Final = 4  # dots that tell what is usual
@@ -48,7 +57,7 @@ class Likeness:
     ----------
     unlike : ndarray, shape (n,)
         Of each dot: rms over its window of what its light differs by from the usual dot's, beyond noise, as a share of
-        its level; 0 where that is by chance, or as of the others.
+        its level; 0 where that is by chance, or as of the others, and does not move its centroid.
     hollow : float
         By how much the usual dot is weaker in its middle than around it, as a share of its level; 0 where it is not.
     """
@@ -169,16 +178,20 @@ def likeness_of(windows: Sequence[Window | None], touching: NDArray[np.bool_], n
         usual = _Usual.of(list(seen.values())) if again else usual
         left = {number: _fitted(dot, usual, noise) for number, dot in seen.items()}
     ground, by_light = _noise(list(left.values()), noise)
-    excess, sigma = np.zeros((2, len(windows)))
+    excess, sigma, moved, moved_sigma = np.zeros((4, len(windows)))
     for number, (residual, light) in left.items():
         variance = ground + by_light * np.maximum(light, 0.0)
         level = max(seen[number].level, 1e-9)
         excess[number] = float(np.mean(residual**2 - variance)) / level**2
         sigma[number] = math.sqrt(2 * float(np.sum(variance**2))) / len(variance) / level**2
+        moved[number], moved_sigma[number] = _moved(seen[number], residual, variance)
     share = np.sqrt(np.maximum(excess, 0.0))
     usually = float(np.median(share[list(seen)]))
-    least = np.maximum(np.where(touching, LEAST_TOUCHING, LEAST), _TIMES * usually)
-    far = (share > least) & (excess > _SIGMAS * sigma)
+    least = np.where(touching, LEAST_TOUCHING, LEAST)
+    differs = (share > least) & (excess > _SIGMAS * sigma)
+    differs |= (share > _FAINT * least) & (excess > _FAINT_SIGMAS * sigma)
+    moves = np.maximum(_MOVES_SIGMAS * moved_sigma, max(_MOVES, _MOVES_TIMES * float(np.median(moved[list(seen)]))))
+    far = (differs & (share > _TIMES * usually)) | ((moved > moves) & (excess > _SIGMAS * sigma))
     found[far] = share[far]
     dots = list(seen.values())
     hollow = usual.hollow(float(np.median([dot.radius for dot in dots])))
@@ -205,6 +218,13 @@ def _fitted(dot: _Seen, usual: _Usual, noise: float) -> tuple[Field, Field]:
         dot.level, dot.ground = float(solved[0]), float(solved[1])
         dot.shift = dot.shift + np.clip(solved[2:] / solved[0], -1.0, 1.0)
     return residual, np.asarray(solved[0] * shape)
+
+
+def _moved(dot: _Seen, residual: Field, variance: Field) -> tuple[float, float]:
+    """How far what a fit leaves of a dot moves the centroid of its light, and the standard error by axis [px]."""
+    total = max(float(np.sum(dot.light - dot.ground)), 1e-9 * dot.level)
+    lever = (dot.place - dot.shift) / total
+    return float(np.hypot(*(residual @ lever))), math.sqrt(float(np.sum(variance[:, None] * lever**2)) / 2)
 
 
 def _noise(left: Sequence[tuple[Field, Field]], least: float) -> tuple[float, float]:
