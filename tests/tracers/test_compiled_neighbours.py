@@ -183,3 +183,21 @@ def test_radiance_does_not_hang_on_which_rays_are_asked_together() -> None:
     one_by_one = [next(tracer.trace([ray[np.newaxis]]))[0] for ray in rays[:300]]
     assert one_by_one == values[:300].tolist()
     assert len(np.unique(values)) > 1000
+
+
+def test_a_sliver_does_not_hide_its_own_points() -> None:
+    """Rounding turns the normal of a very thin triangle, so that places on it seem to lie behind it."""
+    (tree, nodes), tables = laid([soup(np.random.default_rng(3), 1)])
+    s = tree[0]
+    side, other = (np.array([s[name + p] for p in "xyz"]) for name in "uv")
+    corner, normal = np.array([s[p] for p in "xyz"]), np.array([s["n" + p] for p in "xyz"])
+    middle = corner + (side + other) / 3
+    put(tree, "nx ny nz", normal - 0.01 * (middle - corner) / np.linalg.norm(middle - corner))
+    lights = rows(Light, 1)
+    lights["own"], lights["radiance"] = -1, 1.0
+    put(lights, "x y z", (middle + 500.0 * normal)[np.newaxis])
+    group = [(middle + step * side, 0) for step in (0.0, 1e-4, 2e-4)]
+    behind = [(middle - 5.0 * normal, -1)]
+    left = darkened(lights, ((tree, nodes), tables), group + behind, seen := Seen())
+    assert [given[0] for given in left] == [1.0, 1.0, 1.0, 0.0]
+    assert seen.all_hidden == 1

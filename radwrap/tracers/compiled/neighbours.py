@@ -109,11 +109,11 @@ def darken(
             asked[i] = _before(shapes, around, light, asked[group], between[group], heights[part], between[i])
         if asked[i] == 0:
             continue
-        if asked[i] == ALL_HIDDEN:
+        if asked[i] == ALL_HIDDEN and between[i, 0] != itself:
             given[i] = 0.0
             continue
         lx, ly, lz, away, _ = towards(light, x, y, z)
-        if asked[i] > LISTED:
+        if asked[i] > LISTED or asked[i] == ALL_HIDDEN:
             if hidden(shapes, nodes, tables, x, y, z, lx, ly, lz, away, itself, stack):
                 given[i] = 0.0
             continue
@@ -242,7 +242,8 @@ def _before(
     count, group, heights : int, ndarray of int, ndarray
         How many shapes, or more than `LISTED`; which, and the points' heights over them.
     found : ndarray of int, shape (LISTED,)
-        Filled with those that may.
+        Filled with those that may, or first with the one that hides the light from all but points on it: the normal of
+        a sliver may be so far off that these seem to lie behind it.
     """
     if count > LISTED:
         return count
@@ -255,6 +256,7 @@ def _before(
             continue
         seen = _seen_behind(s, around, light) if s.kind == TRIANGLE else PARTLY
         if seen == WHOLLY and _is_parted(s, low, high, light, away):
+            found[0] = group[k]
             return ALL_HIDDEN
         if seen != NOWHERE:
             found[left] = group[k]

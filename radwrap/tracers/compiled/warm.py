@@ -23,6 +23,8 @@ from radwrap.tracers.text_frame import TextFrame
 
 # Functions that programs call, each of which brings with it those that it calls.
 _KEPT: Final = (
+    "kernels.meet",
+    "along_curve.put_keys",
     "kernels.trace",
     "kernels.surfaces",
     "walks.go_on",
