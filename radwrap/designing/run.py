@@ -161,7 +161,7 @@ def _found(problem: Problem, bench: Bench) -> Designed:
     if best is not None:
         again = candidate_of(problem, best.codes, best.levels)
         (check,) = bench.look_at([again], "check", tolerance, seed + 1, sought=False)
-    unique = _each_once(trials)
+    unique = _each_scene_once(trials)
     return Designed(
         problem=problem,
         best=best,
@@ -197,6 +197,11 @@ def _decided(problem: Problem, bench: Bench, trials: Sequence[Trial], most: int)
 def _each_once(trials: Sequence[Trial]) -> list[Trial]:
     """Of equal trials the first."""
     return list({trial.codes: trial for trial in reversed(trials)}.values())[::-1]
+
+
+def _each_scene_once(trials: Sequence[Trial]) -> list[Trial]:
+    """Of trials of one scene the first: all balances lead to the same levels where these change one objective only."""
+    return list({sha256_of_value(trial.values): trial for trial in reversed(trials)}.values())[::-1]
 
 
 def _tolerance(problem: Problem) -> float | None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
-from radwrap.designing.light import LightAim, best_levels
+from radwrap.designing.best_levels import best_levels
+from radwrap.designing.light import LightAim
 from radwrap.errors import InputError
 from radwrap.imaging.asked_tolerance import FINEST
 from radwrap.imaging.relight.relit import Basis, read_basis

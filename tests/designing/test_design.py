@@ -16,9 +16,10 @@ from scipy.optimize import minimize
 
 import radwrap
 from radwrap.cli.main import main
+from radwrap.designing.best_levels import best_levels
 from radwrap.designing.convex import unevenness
 from radwrap.designing.document import read_problem
-from radwrap.designing.light import CONVEX, LOCAL, LightAim, LitBy, best_levels, levels_of, time_of
+from radwrap.designing.light import CONVEX, LOCAL, LightAim, LitBy, levels_of, time_of
 from radwrap.designing.trials import write_record
 from radwrap.errors import InputError
 from radwrap.files import sha256_of

@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from radwrap.designing.best_levels import FoundLevels, best_levels
 from radwrap.designing.document import read_problem
-from radwrap.designing.light import LOCAL, FoundLevels, LightAim, best_levels, levels_of, time_of
+from radwrap.designing.light import LOCAL, LightAim, levels_of, time_of
 from radwrap.study.factors import in_si
 from tests.designing.conftest import basis_of, sheet, write_problem
 

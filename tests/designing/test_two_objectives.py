@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 from radwrap.cli.main import main
+from radwrap.designing import light
+from radwrap.designing.best_levels import FoundLevels, best_levels
 from radwrap.designing.document import Problem, read_problem
 from radwrap.designing.keys import BALANCE, STEPS_OF_BALANCE
-from radwrap.designing.light import CONVEX, LOCAL, FoundLevels, LightAim, best_levels, levels_of, time_of
+from radwrap.designing.light import CONVEX, LOCAL, LightAim, levels_of, time_of
 from radwrap.designing.quantities import Objective
 from radwrap.errors import InputError
+from radwrap.study.responses import Response, answer
+from radwrap.study.seen import Answer, Seen
 from tests.designing.conftest import basis_of, sheet, write_problem
 from tests.designing.test_design import LEVELS
 from tests.designing.test_resume import contents, kill_after, whole
@@ -23,7 +27,11 @@ from tests.designing.test_resume import contents, kill_after, whole
 MEAN = '[[objectives]]\nof = "mean"\naim = "maximise"\n[[constraints]]'
 EVEN, DARK = 50.0, 20.0  # gray levels
 EXACT = 3e-5  # of evenness: where all is even, its square is what the program makes small
+SEARCHED = 1e-3  # of levels, where the end of a front is searched locally
 TWO = LEVELS.format(of="even", peak=200).replace("[[constraints]]", MEAN)
+
+CONSTANT = TWO.replace(MEAN, MEAN.replace('"mean"', '"exposure_time"').replace("maximise", "minimise"))
+SHOWN = '[responses.shown]\nmeasure = "contrast"\n[responses.even]'
 
 
 def two_lights() -> dict[str, Any]:
@@ -36,12 +44,16 @@ def problem_of(folder: Path, text: str = TWO) -> Problem:
     return read_problem(write_problem(folder, text.replace("high = 2.0", "high = 1.0"), two_lights()))
 
 
-def found_at(problem: Problem, share: float, first: int = 0) -> FoundLevels:
-    """Levels on a light that no ray has made: one LED lights all alike, the other only the left half, twice as much."""
+def found_at(problem: Problem, share: float, first: int = 0, off: tuple[float, ...] = ()) -> FoundLevels:
+    """Levels on a light that no ray has made: one LED lights all alike, the other only the left half, twice as much.
+
+    In corners this other LED is so many times brighter.
+    """
     scene = problem.scene(problem.study.document)
     light = np.zeros((2, 20, 24))
     light[0] = EVEN
     light[1, :, :12] = 2 * EVEN
+    around = [(basis_of(light * [[[1.0]], [[times]]], scene), scene) for times in off]
     objectives: list[Objective] = list(problem.objectives)
     aim = LightAim(
         levels_of(problem.levels, problem.study.document, scene, "design.toml"),
@@ -52,7 +64,7 @@ def found_at(problem: Problem, share: float, first: int = 0) -> FoundLevels:
         second=objectives[1 - first],
         share=share,
     )
-    return best_levels(aim, basis_of(light, scene), scene)
+    return best_levels(aim, basis_of(light, scene), scene, around)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
@@ -69,6 +81,78 @@ def test_the_front_is_that_by_hand(tmp_path: Path, share: float, first: int) -> 
     assert list(found.factors.values()) == pytest.approx([1.0, b], abs=EXACT)
     wanted = 1 / (1 + b) if first == 0 else DARK + EVEN * (1 + b)
     assert found.value == pytest.approx(wanted, rel=EXACT)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_front_of_the_worst_case_is_that_by_hand(tmp_path: Path, share: float, first: int) -> None:
+    """The other LED may be a fifth brighter or darker: the one is least even, the other has the smallest mean.
+
+    The worst mean goes in equal steps from 50 to 50 (1 + .8), with the evenness 1/(1 + 1.2 b).
+    """
+    found = found_at(problem_of(tmp_path), share, first, off=(0.8, 1.2))
+    b = share if first == 0 else 1 - share
+    assert list(found.factors.values()) == pytest.approx([1.0, b], abs=SEARCHED)
+    wanted = 1 / (1 + 1.2 * b) if first == 0 else DARK + EVEN * (1 + 0.8 * b)
+    assert found.value == pytest.approx(wanted, rel=SEARCHED)
+    assert [dict(one) for one in found.around] == [dict(found.factors)] * 2
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0])
+def test_levels_that_do_not_change_the_other_objective_are_those_of_the_one(tmp_path: Path, share: float) -> None:
+    problem = problem_of(tmp_path, CONSTANT)
+    assert found_at(problem, share).levels == found_at(problem, 0.0).levels
+
+
+def test_last_digits_of_the_other_objective_move_no_level(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made up: it grows by a millionth of a millionth with each gray level."""
+    monkeypatch.setattr(light, "answer", lambda asked, seen: Answer(1 + 1e-12 * float(seen.gray.mean()), 0.0))
+    text = TWO.replace(MEAN, MEAN.replace('"mean"', '"shown"')).replace("[responses.even]", SHOWN)
+    problem = problem_of(tmp_path, text)
+    assert found_at(problem, 0.5).levels == found_at(problem, 0.0).levels
+
+
+@pytest.mark.long
+def test_what_no_balance_changes_is_one_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, path = tmp_path / "out", write_problem(tmp_path, CONSTANT, sheet())
+    assert main(["design", "run", str(path), "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["trials"] == STEPS_OF_BALANCE + 1 and [one["trial"] for one in told["front"]] == [told["best"]["trial"]]
+    assert told["ties"] == []
+
+
+LEAST_SHOWN = 10.0  # gray levels above dark: below it the made-up measurement is lost
+
+
+def shown(response: Response, seen: Seen) -> Answer:
+    """A measurement that is the better the more light there is, and is lost in little of it."""
+    if response.name != "shown":
+        return answer(response, seen)
+    level = float(seen.gray.mean()) - DARK
+    if level < LEAST_SHOWN:
+        raise InputError("is lost")
+    return Answer(level**0.5, 0.0)
+
+
+def test_a_front_ends_where_the_other_objective_can_be_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Least light is best for the mean; the root of light goes in equal steps from that of 10 gray levels on."""
+    monkeypatch.setattr(light, "answer", shown)
+    text = TWO.replace(MEAN, MEAN.replace("maximise", "minimise")).replace("[responses.even]", SHOWN)
+    problem = problem_of(tmp_path, text.replace('of = "even"', 'of = "shown"'))
+    low, high = LEAST_SHOWN**0.5, (2 * EVEN) ** 0.5
+    for share in (0.0, 0.5, 1.0):
+        found = found_at(problem, share, first=1)
+        assert found.value - DARK == pytest.approx((low + share * (high - low)) ** 2, rel=2e-3)
+
+
+def test_what_is_measured_in_no_levels_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(light, "answer", shown)
+    monkeypatch.setattr(f"{__name__}.LEAST_SHOWN", 1e3)
+    text = TWO.replace("[responses.even]", SHOWN).replace('of = "even"', 'of = "shown"')
+    with pytest.raises(InputError, match="shown cannot be measured in any levels"):
+        found_at(problem_of(tmp_path, text), 0.5, first=1)
 
 
 def test_a_limit_holds_on_the_whole_front(tmp_path: Path) -> None:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog, minimize
 
 from radwrap.cli.main import main
+from radwrap.designing.best_levels import FoundLevels, best_levels
 from radwrap.designing.candidates import candidate_of, corners
 from radwrap.designing.document import Problem, read_problem
-from radwrap.designing.light import CONVEX, LOCAL, FoundLevels, LightAim, best_levels, levels_of, time_of
+from radwrap.designing.light import CONVEX, LOCAL, LightAim, levels_of, time_of
 from radwrap.designing.worker import CandidateJob
 from radwrap.errors import InputError
 from radwrap.imaging.relight.relit import Basis
