@@ -2,11 +2,13 @@
 
 Two sums of squares are judged, each at half the level: that of all pixels, which sees what is off here and there, and
 that of the means of blocks, which sees what is off by little everywhere in a neighbourhood. The prediction's own error
-is no noise of the captures: it is one unknown image. Its expected square makes the law of the sum a non-central one.
+is no noise of the captures: it is one unknown image. What its square is expected to be adds to the sum, and so does how
+far that may be from what is expected: where a few pixels have most of it, by much.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -35,7 +37,7 @@ class Test:
     freedom : int
         Its degrees of freedom.
     prediction : float
-        Its expected part by the error of the prediction: the non-centrality.
+        Its expected part by the error of the prediction.
     largest : float
         What an explained one exceeds with half of `LEVEL`; infinite without a degree of freedom.
     """
@@ -58,7 +60,7 @@ class Test:
     @property
     def by_noise(self) -> bool:
         """Whether noise explains it, without any error of the prediction."""
-        return self.is_judged and self.chi_square <= _largest(self.freedom, 0.0)
+        return self.is_judged and self.chi_square <= _largest(self.freedom, _Error())
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +146,9 @@ def verdict(
     used = np.isfinite(residual)
     left = residual[used]
     off = errors.deviations
-    off = off - (off @ basis) @ basis.T
-    scale = errors.freedom * errors.predictions
+    off = (off - (off @ basis) @ basis.T) / np.sqrt(errors.predictions)
     common = float((errors.bound**2).sum())
-    pixels = _test(float(left @ left), left.size - basis.shape[1], float((off**2).sum()) / scale + common)
+    pixels = _test(float(left @ left), left.size - basis.shape[1], _Error.of(off, common))
     rows = len(used) // len(of_capture)
     places = list(_blocks(used, rows))
     sums = np.zeros((len(places), left.size))
@@ -165,9 +166,8 @@ def verdict(
     blocks = None
     if good.any():
         statistic = white @ means
-        extra = float(((white @ wrong) ** 2).sum()) / scale + common
-        blocks = _test(float(statistic @ statistic), int(good.sum()), extra)
-    spread_of = np.sqrt(np.maximum(np.diag(covariance), _VANISHES) + (wrong**2).sum(axis=1) / scale)
+        blocks = _test(float(statistic @ statistic), int(good.sum()), _Error.of((white @ wrong).T, common))
+    spread_of = np.sqrt(np.maximum(np.diag(covariance), _VANISHES) + (wrong**2).sum(axis=1) / errors.freedom)
     deviations = means / spread_of
     order = np.argsort(-np.abs(deviations), kind="stable")[:_TOLD]
     gray = residual * sigma
@@ -177,18 +177,57 @@ def verdict(
     return Verdict(pixels, blocks, tuple(named))
 
 
-def _test(value: float, freedom: int, prediction: float) -> Test:
-    return Test(value, freedom, prediction, _largest(freedom, prediction))
+@dataclass(frozen=True, slots=True)
+class _Error:
+    """What the square of the prediction's error is expected to be, and how far it may be from that.
+
+    Attributes
+    ----------
+    square : float
+        Expected; the trace of its covariance C.
+    scatter : float
+        The trace of C^2.
+    freedom : float
+        Degrees of freedom that tell them.
+    """
+
+    square: float = 0.0
+    scatter: float = 0.0
+    freedom: float = np.inf
+
+    @classmethod
+    def of(cls, deviations: Array, common: float) -> _Error:
+        """Of so many replicates' deviations from their mean, over the root of their number, shape (replicates, n).
+
+        Of S by f degrees of freedom tr S^2 is f (f + 1)/f^2 tr C^2 + (tr C)^2/f on average (M. S. Srivastava, 2005).
+        """
+        freedom = len(deviations) - 1
+        seen = deviations @ deviations.T / freedom
+        square, twice = float(np.trace(seen)), float((seen**2).sum())
+        if freedom > 1:
+            twice = max((twice - square**2 / freedom) * freedom**2 / ((freedom - 1) * (freedom + 2)), 0.0)
+        return cls(square + common, twice, freedom)
 
 
-def _largest(freedom: int, prediction: float) -> float:
-    """What an explained sum exceeds with half of `LEVEL`."""
-    from scipy.stats import chi2, ncx2
+def _test(value: float, freedom: int, error: _Error) -> Test:
+    return Test(value, freedom, error.square, _largest(freedom, error))
+
+
+def _largest(freedom: int, error: _Error) -> float:
+    """What an explained sum exceeds with half of `LEVEL`.
+
+    The sum is taken for a multiple of a chi-square of its mean and variance: noise adds 2 n to that, the error
+    2 tr C^2, and both together 4 tr C. What it is held against is known by replicates: a ratio, as of Fisher's F.
+    """
+    from scipy.stats import chi2, f
 
     if freedom < 1:
         return float("inf")
-    law = chi2(freedom) if prediction <= 0 else ncx2(freedom, prediction)
-    return float(law.ppf(1 - LEVEL / 2))
+    mean = freedom + error.square
+    own = 2 * mean**2 / (2 * freedom + 4 * error.square + 2 * error.scatter)
+    if not error.scatter or math.isinf(error.freedom):
+        return float(mean / own * chi2(own).ppf(1 - LEVEL / 2))
+    return float(mean * f(own, error.freedom * mean**2 / error.scatter).ppf(1 - LEVEL / 2))
 
 
 def _blocks(used: NDArray[np.bool_], rows: int) -> Iterator[tuple[slice, slice]]:
