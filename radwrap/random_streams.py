@@ -46,6 +46,7 @@ class Rendering(IntEnum):
     INSTANTS = 35  # then the level
     POINTS_NOISE = 36
     LEVEL_SHARES = 37
+    RAYS_OF_PIXELS = 38  # then the tile
 
 
 @unique

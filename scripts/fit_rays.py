@@ -5,7 +5,7 @@
 
 Both see the twins of fit_twins.py, one capture each. The plain way is that of a user who has a renderer and scipy:
 `least_squares` with slopes by '2-point' differences, where each image is a render of a seed of its own, by the method
-that the fit held. It begins where the fit began (`afar`), or where the fit ended (`near`): then it need not find the
+that costs least. It begins where the fit began (`afar`), or where the fit ended (`near`): then it need not find the
 way. Its steps are chosen by hand, as those of scipy would show the grain of the rays only. It ends where chi-square
 changes by less than a thousandth. Tolerances get finer by 2.
 
@@ -22,7 +22,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -99,7 +99,6 @@ class Fresh:
     free: FreeScene
     tolerance: float
     seed: int
-    method: str | None
     renders: int = 0
 
     def __call__(self, values: Array) -> Array:
@@ -109,7 +108,7 @@ class Fresh:
         options = radwrap.RenderOptions(
             tolerance=self.tolerance, seed=self.seed + self.renders, workers=1, tracer="compiled"
         )
-        made = radwrap.render(scene, options=replace(options, method=self.method))
+        made = radwrap.render(scene, options=options)
         return unclipped_gray(made.radiant_exposure.values, scene.camera.sensor)
 
 
@@ -193,7 +192,7 @@ def compared(number: int, given: argparse.Namespace) -> dict[str, Any]:
             with rays.counted():
                 for seed in range(given.seeds):
                     rays_of = 1_000_000 * (number + 1) + 10_000 * seed + 1_000 * halving
-                    fresh = Fresh(free, given.tolerance / 2**halving, rays_of, first.manifest["held"]["method"])
+                    fresh = Fresh(free, given.tolerance / 2**halving, rays_of)
                     plain.append(plainly(asked, begins[name], fresh))
                     renders += fresh.renders
             told[name].append(

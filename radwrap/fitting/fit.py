@@ -242,10 +242,18 @@ def ended(
     """
     place, scales = begin, np.array([key.scale for key in keys])
     before: Settled | None = None
+    bases: list[Basis | SourceImages | None] = [None] * len(prediction.places)
+    last = 0
     # Where renders are compared, few rays first: a step from there is short.
     for share in (_FEWER, *[1] * _PLACES) if prediction.has_renders else [1]:
-        bases = [light.unbiased(places.scene(place), share) for places in prediction.places]
-        before = near = Settled(prediction, keys, place, bases, before)
+        traced = [
+            light.unbiased(places.scene(place), share, nearby if share == last else None)
+            if prediction.has_renders
+            else places.lit(place).basis
+            for places, nearby in zip(prediction.places, bases, strict=True)
+        ]
+        bases, last = [*traced], share
+        before = near = Settled(prediction, keys, place, traced, before)
         solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
         place = solved.values
@@ -258,7 +266,7 @@ def ended(
         solved = replace(solved, converged=False)
     used = solved.weighed.used
     sigma = solved.weighed.sigma[used]
-    errors = PredictionErrors(near.replicates(place)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
+    errors = PredictionErrors(near.errors(place)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
     return Ended(solved, errors, grained)
 
 
@@ -292,18 +300,14 @@ def _fitted(
         taken = begin.rays
         light = Light(states[0].free.at(begin.values.tolist()), options, near, is_even=True)
     captures = [state.captured for state in states]
-    rough = None
+    search = rough = None
     if any(rendered):  # the way is sought by few rays: what these are off by is settled at its end
-        trace = partial(light.roughly, times=_ROUGHER, replicates=REPLICATES)
-        rough = _prediction(states, rendered, trace, begin.steps)
-    prediction = _prediction(states, rendered, light.at, rough=rough)
+        seek, look = (partial(light.roughly, times=_ROUGHER, replicates=count) for count in (FEW, REPLICATES))
+        search = _prediction(states, rendered, seek, begin.steps)
+        rough = _prediction(states, rendered, look, rough=search)
+    prediction = _prediction(states, rendered, light.at if any(rendered) else light.unbiased, rough=rough)
     off = _ROUGHER * light.tolerance
-    sought = solve(free.keys, rough or prediction, captures, noise, robust=robust, begin=begin.values, tolerance=off)
-    rounds = sought.rounds
-    if rough is not None:
-        off, begun = light.tolerance, sought.values
-        sought = solve(free.keys, prediction, captures, noise, robust=robust, begin=begun, tolerance=off)
-        rounds += sought.rounds
+    sought = solve(free.keys, search or prediction, captures, noise, robust=robust, begin=begin.values, tolerance=off)
     found = ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
     solved, errors = found.solved, found.errors
     used, sigma = solved.weighed.used, solved.weighed.sigma
@@ -345,7 +349,7 @@ def _fitted(
         "places": prediction.renders,
         "left_out": light.left_out,
         "converged": solved.converged,
-        "rounds": rounds + solved.rounds,
+        "rounds": sought.rounds + solved.rounds,
         "used_pixels": int(np.count_nonzero(used)),
         "censored_pixels": censored,
         "undetermined": words,

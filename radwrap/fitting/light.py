@@ -9,19 +9,24 @@ from typing import Any, Final
 
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.imaging.demand import FEWEST, SamplingPlan
+from radwrap.imaging.methods.rays import ORDER
 from radwrap.imaging.relight.relit import Basis, read_basis
-from radwrap.imaging.relight.source_images import SourceImages, source_images, suffice
+from radwrap.imaging.relight.source_images import AimedRays, SourceImages, source_images, suffice
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.rendered import Rendered
 from radwrap.imaging.synthesis import render
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.sampling import Pilot, strictest
+from radwrap.imaging.tolerance.survey import AIM_SHARE
 from radwrap.imaging.tracing import traced_scene
+from radwrap.manifest import sha256_of_value
 from radwrap.scene.scene import Scene
 from radwrap.study.pilots import read_pilot, write_pilot
 
 REPLICATES: Final = 4  # of each basis of a fit with renders
 FEW: Final = 2  # of each by which the way is sought
+AGAIN: Final = 3  # of an unbiased one that are traced again nearby
+_LOOK: Final = "look"
 _SEED_STEP: Final = 1_000_003  # between seeds: none is that of a neighbouring fit
 
 
@@ -38,20 +43,20 @@ class Light:
         Folder for what is traced.
     is_even : bool
         Whether other scenes are traced too, by the same rays: then nothing that an image shows may decide where they
-        go.
+        go. Else only unbiased rays are.
     """
 
     def __init__(self, scene: Scene, options: RenderOptions, work: Path, *, is_even: bool) -> None:
         self._work, self._count = work, 0
         self._scene, self._is_even = scene, is_even
         self.rays, self.left_out = 0, ""
-        self.settled: SamplingPlan | None = None
+        self.settled: SamplingPlan | AimedRays | None = None
         self._pilot: Pilot | None = None
+        self._is_known = False  # who traces, and what is left out
         with traced_scene(scene, options) as view:
             options, _ = with_gray_tolerance(options, view)
         self._options = replace(options, basis=True, frames=0, truth=False)
-        if is_even:
-            self._options = self._planned(scene, self._options)
+        self._options = self._planned(scene, self._options) if is_even else replace(self._options, method="rays")
 
     def held(self) -> dict[str, Any]:
         """What was decided."""
@@ -85,18 +90,36 @@ class Light:
         """The basis of another scene, by the same rays."""
         return self._basis(scene, self._options)
 
-    def unbiased(self, scene: Scene, share: int = 1) -> Basis | SourceImages:
+    def unbiased(self, scene: Scene, share: int = 1, near: Basis | SourceImages | None = None) -> Basis | SourceImages:
         """The basis of a scene by other rays, over pixel and opening: no cell and no model of a kernel is in it.
 
-        It keeps the tolerance, or is by one of `share` rays of what that takes.
+        Parameters
+        ----------
+        scene : Scene
+            What is there.
+        share : int
+            It keeps the tolerance, or is by one of so many rays of what that takes.
+        near : Basis or SourceImages, optional
+            The same of another scene nearly there: it is enough to trace some of its rays again.
         """
         if self._pilot is None:
             self._pilot = self._looked_at(scene, self._options)
         demand = replace(self._options.demand, method="rays")
-        self.settled = strictest([self._pilot], demand)
-        plan = replace(self.settled, rays=max(FEWEST, (self.settled.rays or 1) // share))
-        options = replace(self._options, method="rays", sampling=plan)
-        return self._basis(scene, replace(options, seed=(options.seed + _SEED_STEP) % 2**63))
+        plan = strictest([self._pilot], demand)
+        fewer = replace(plan, rays=max(FEWEST, (plan.rays or 1) // share))
+        options = replace(self._options, method="rays", sampling=fewer)
+        options = replace(options, seed=(options.seed + _SEED_STEP) % 2**63)
+        # Its rays are compared with those of no other plan: where nothing but rays is asked for, they are aimed.
+        aimed = AimedRays(AIM_SHARE * demand.tolerance, plan.replicates)
+        rms = aimed.rms * share**ORDER
+        numbers = near.numbers if isinstance(near, SourceImages) else None
+        if isinstance(near, SourceImages) and numbers is not None:
+            some = self._basis(scene, options, AimedRays(rms, AGAIN, numbers))
+            if isinstance(some, SourceImages) and (carried := near.carried(some)) is not None:
+                return carried
+        made = self._basis(scene, options, replace(aimed, rms=rms, numbers=numbers))
+        self.settled = aimed if isinstance(made, SourceImages) else plan
+        return made
 
     def _planned(self, scene: Scene, options: RenderOptions) -> RenderOptions:
         self._pilot = self._looked_at(scene, options)
@@ -105,10 +128,12 @@ class Light:
 
     def _looked_at(self, scene: Scene, options: RenderOptions) -> Pilot:
         """What an image needs."""
-        path = self._work / "pilot.json"
-        write_pilot(path, scene, replace(options, basis=False, sampling=None))
-        found = read_pilot(path)
-        if found is None:
+        options = replace(options, basis=False, sampling=None)
+        path = self._work / f"pilot_{sha256_of_value([scene, replace(options, workers=None)])}.json"
+        if (known := read_pilot(path)) is not None:
+            return known
+        write_pilot(path, scene, options)
+        if (found := read_pilot(path)) is None:
             raise EnvironmentFailure("the pilot was lost", where=str(path))
         return found
 
@@ -118,22 +143,33 @@ class Light:
         planned = SamplingPlan("rays", rays=1024).replicates
         return replace(options.demand, tolerance=options.demand.tolerance * math.sqrt(REPLICATES / planned))
 
-    def _basis(self, scene: Scene, options: RenderOptions) -> Basis | SourceImages:
+    def _basis(self, scene: Scene, options: RenderOptions, aimed: AimedRays | None = None) -> Basis | SourceImages:
         folder = self._work / str(self._count)
         self._count += 1
-        # The first one is an image with all that is to know of it: who traces, and what is left out.
-        if self._count > 1 and options.tracer == "compiled" and options.sampling and suffice(scene, options):
-            lit = source_images(scene, folder, options, options.sampling)
+        if not self._is_known and suffice(scene, options):
+            self._look(scene)
+        options = replace(options, tracer=self._options.tracer)
+        if self._is_known and options.tracer == "compiled" and options.sampling and suffice(scene, options):
+            lit = source_images(scene, folder, options, aimed or options.sampling)
             self.rays += lit.rays
             return lit
-        made = self._rendered(scene, folder, options)
-        self.rays += made.run.rays
-        self.left_out = self.left_out or made.run.missing
-        if self._options.method is None and made.run.method in ("kernel", "rays", "hybrid"):
-            self._options = replace(self._options, method=made.run.method)
+        self._rendered(scene, folder, options)
         return read_basis(folder)
 
-    def _rendered(self, scene: Scene, folder: Path, options: RenderOptions) -> Rendered:
+    def _look(self, scene: Scene) -> None:
+        """Learn by few rays who traces, and what is left out."""
+        few = SamplingPlan("rays", rays=FEWEST, replicates=2)
+        self._rendered(scene, self._work / _LOOK, replace(self._options, basis=False, method="rays", sampling=few))
+
+    def _rendered(self, scene: Scene, folder: Path, options: RenderOptions) -> None:
+        made = self._traced(scene, folder, options)
+        self._is_known = True
+        self.rays += made.run.rays
+        self.left_out = self.left_out or made.run.missing
+        if self._options.method is None and options.basis and made.run.method in ("kernel", "rays", "hybrid"):
+            self._options = replace(self._options, method=made.run.method)
+
+    def _traced(self, scene: Scene, folder: Path, options: RenderOptions) -> Rendered:
         """By the tracer that is held; where nobody asked for one, by our own, which starts no process for an image."""
         if options.tracer != "auto":
             return render(scene, folder, options)

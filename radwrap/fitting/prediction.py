@@ -35,7 +35,8 @@ _LARGEST_FROM_0: Final = {"deg": 10.0}
 _LARGEST_ELSE: Final = 50.0
 _TRIALS: Final = 6
 _NEAR_ENOUGH: Final = 0.25  # of a step: so far from where slopes were seen they are the same
-_FINE_ENOUGH: Final = 1e-2  # of what few rays show, by its square: so much may be grain
+# Of what few rays show, by its square: so much may be grain. It adds as much to the variance of what is found.
+_FINE_ENOUGH: Final = 0.06
 _FIT: Final = 2.0  # a step that is right within this factor
 
 
@@ -124,7 +125,7 @@ class Prediction:
     steps : sequence of float, optional
         How far each key may be moved for its slope, over its scale, where that is known from another prediction.
     rough : Prediction, optional
-        The same by fewer rays, which has the slopes.
+        The same by fewer rays, which has the slopes; that may have one too.
     """
 
     def __init__(
@@ -141,6 +142,11 @@ class Prediction:
         # By blur: how far each key is moved for its slope, and where that was seen.
         self._steps: dict[float, list[float]] = {}
         self._seen: dict[float, Array] = {}
+
+    @property
+    def _search(self) -> Prediction:
+        """By the fewest rays, which has the slopes."""
+        return self if self._rough is None else self._rough._search
 
     @property
     def has_renders(self) -> bool:
@@ -253,11 +259,9 @@ class Prediction:
         Keys that nearly cancel each other are moved together, as far as it takes to see what is left: the difference of
         two large slopes would be off by their grain, and by what a finite step leaves out of each.
         """
-        slopes = self.slopes(values)
-        rough = self._rough
-        if rough is not None:
-            self._steps = rough._steps
-        near = (rough or self)._near(values, 0.0)
+        slopes, search = self.slopes(values), self._search
+        self._steps = search._steps
+        near = search._near(values, 0.0)
         scales = np.array([key.scale for key in self._keys])
         reach = np.array(self._steps[0.0]) * scales
         if (np.abs(values - near) > _NEAR_ENOUGH * reach)[self._rendered].any():
@@ -267,7 +271,7 @@ class Prediction:
         others = np.flatnonzero(~self._rendered)
         beside = np.linalg.qr(slopes[others].reshape(len(others), slopes[0].size).T)[0]
         ways = np.linalg.svd(_off(moved.reshape(len(numbers), -1), beside), full_matrices=False)[0].T
-        target = _CHANGE * float(np.ptp(self._smooth((rough or self).at(near).unclipped, _SMOOTH)))
+        target = _CHANGE * float(np.ptp(self._smooth(search.at(near).unclipped, _SMOOTH)))
         steps = np.zeros((len(numbers), len(self._keys)))
         steps[:, numbers] = ways * reach[numbers]
         if min(self._room(near, step) for step in steps) < _LEAST_ROOM:  # a key at its bound: each key by itself
@@ -277,7 +281,7 @@ class Prediction:
         for way, step in zip(ways, steps, strict=True):
             change = float(np.abs(self._smooth(np.tensordot(way, moved, axes=1), _SMOOTH)).max())
             times = min(target / max(change, target / _FARTHEST), max(self._room(near, step), 1.0))
-            image = None if rough is None else rough._seen_along(near, step, times)
+            image = None if self._rough is None else self._rough._seen_along(near, step, times)
             if image is None or _grain_of(image, beside) > _FINE_ENOUGH:
                 image = self._seen_along(near, step, times)
             seen.append(image)

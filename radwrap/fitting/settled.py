@@ -187,6 +187,14 @@ class Settled:
         """Unclipped gray levels by each of the independent rays, shape (replicates, captures * rows, columns)."""
         return np.stack([self._by(values, one) for one in range(self._count)])
 
+    def errors(self, values: Array) -> Array:
+        """The same, as far from their mean as that is known: more so where some of them tell what all go by."""
+        found = self.replicates(values)
+        mean = found.mean(axis=0)
+        bases = [lit.basis for _, lit in self._shots]
+        carrying = max(one.carrying if isinstance(one, SourceImages) else 0.0 for one in bases)
+        return np.asarray(mean + (found - mean) * np.sqrt(1 + carrying))
+
     def common(self, predicted: Predicted) -> Array:
         """By how much all replicates may be off alike, at most, shape (captures * rows, columns) [gray level].
 

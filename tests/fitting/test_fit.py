@@ -15,6 +15,7 @@ import radwrap
 from radwrap.errors import InputError
 from radwrap.fitting.captured import captured
 from radwrap.fitting.free_keys import free_scene
+from radwrap.fitting.light import Light
 from radwrap.fitting.places import need_renders
 from radwrap.fitting.poses import aimed_keys
 from radwrap.fitting.scene_text import with_values
@@ -24,6 +25,7 @@ from radwrap.scene.scene import Scene
 from tests.cli.conftest import here, scene_text
 from tests.fitting.conftest import EXPOSURE, LEVELS, OPTIONS, changed, tables
 
+LARGEST: Final = 16  # rays of a pixel and replicate on average, of the one image
 SIGMAS: Final = 4.0  # of each of five keys: 1 of 3000 fits is missed
 
 
@@ -70,6 +72,17 @@ def test_a_twin_is_found_and_its_files_are_whole(
     argv[argv.index("--out") + 1] = tmp_path
     assert "holds scene.toml, which was not written by any fit" in here(argv, capsys).refusal(2)
     assert path.read_text() == text
+
+
+def test_what_needs_no_renders_takes_one_image(bench: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside what says who traces, with eight rays a pixel; its rays are aimed."""
+    monkeypatch.setattr(Light, "at", None)
+    capture = _capture(bench, {EXPOSURE: "90 ms"})
+    found = radwrap.fit(bench, [capture], [EXPOSURE], options=OPTIONS).manifest
+    assert found["places"] == 1 and found["held"]["method"] == "rays" and found["held"]["sampling"] is None
+    assert found["held"]["settled"] == {"method": "rays", "rms": 0.75 * OPTIONS.gray_tolerance, "replicates": 12}
+    pixels = bench.camera.sensor.pixels
+    assert found["rays"] < 8 * pixels + LARGEST * 12 * pixels
 
 
 def test_a_wrong_model_exits_with_1_and_says_where(

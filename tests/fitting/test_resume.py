@@ -15,7 +15,7 @@ from radwrap.scene.scene import Scene
 from tests.fitting.conftest import LEVELS
 
 COARSE = radwrap.RenderOptions(tolerance=8.0, workers=1)  # what is traced again hangs on no accuracy
-FIRST = 1  # bases of a fit: one that it begins with, and one whose rays are others
+FIRST = 1  # images of a fit: one by few rays, that says who traces, and one of each source
 
 
 def _stamps(out: Path) -> dict[str, tuple[int, int]]:
@@ -30,7 +30,7 @@ def _stamps(out: Path) -> dict[str, tuple[int, int]]:
 def test_a_killed_fit_traces_nothing_twice(
     bench: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: tuple[Any, str], bases: int
 ) -> None:
-    """Killed once so many bases were traced."""
+    """Killed once so many images were traced."""
     capture = radwrap.render(bench, options=COARSE, seed=5).frames(1)
 
     def fitted(out: Path) -> radwrap.Fit:
@@ -48,6 +48,13 @@ def test_a_killed_fit_traces_nothing_twice(
             fitted(tmp_path / "out")
     assert not (tmp_path / "out" / "fit.json").exists()
     before, after = _stamps(tmp_path / "out"), {}
+    looked, look = [], light.write_pilot
+
+    def counted(*given: Any) -> None:
+        looked.append(given)
+        look(*given)
+
+    monkeypatch.setattr(light, "write_pilot", counted)
     assert len(before) == bases
     write = fitting.write_fit
 
@@ -58,6 +65,7 @@ def test_a_killed_fit_traces_nothing_twice(
     monkeypatch.setattr(fitting, "write_fit", written)
     fitted(tmp_path / "out")
     assert {name: after[name] for name in before} == before and len(after) == 2
+    assert not looked  # what an image needs is known
     told = [json.loads((tmp_path / name / "fit.json").read_text()) for name in ("good", "out")]
     assert told[0] == told[1]
     assert not (tmp_path / "out" / ".fit").exists()

@@ -18,6 +18,7 @@ from radwrap.fitting.prediction import Prediction, _grain_of
 from radwrap.fitting.settled import Settled
 from radwrap.fitting.solution import settle
 from radwrap.imaging.relight.relit import Basis
+from radwrap.imaging.relight.source_images import SourceImages
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
 from radwrap.scene.scene import Scene
@@ -99,6 +100,22 @@ def test_what_all_replicates_have_in_common_is_bounded_pixel_by_pixel() -> None:
     common[7] = 2.0
     found = spread(np.ones((500, 1)), PredictionErrors(np.zeros((2, 500)), common))
     assert found.bound[0] == pytest.approx(2.0 / 500, rel=EXACT)
+
+
+def test_replicates_that_go_by_what_some_of_them_show_are_less_sure(bench: Scene, basis: Basis) -> None:
+    """With three times the variance more, all are twice as far from their mean."""
+    keys, prediction = begun(bench, basis, [EXPOSURE])
+    place = np.array([key.value for key in keys.keys])
+    images = basis.images[:, :1] + basis.images.std() * generator(5).standard_normal((3, 3, 20, 24)).astype(np.float32)
+    plain, carried = (
+        Settled(prediction, keys.keys, place, [SourceImages(basis.sources, images, 0, carrying=more)])
+        for more in (0.0, 3.0)
+    )
+    apart = plain.replicates(place) - plain.replicates(place).mean(axis=0)
+    assert np.array_equal(plain.replicates(place), carried.replicates(place)) and np.abs(apart).max() > 1
+    assert plain.errors(place) == pytest.approx(plain.replicates(place), abs=EXACT)
+    errors = carried.errors(place)
+    assert errors - errors.mean(axis=0) == pytest.approx(2 * apart, abs=1e-6)
 
 
 def test_what_a_key_does_to_all_light_is_counted_once(bench: Scene, basis: Basis) -> None:
@@ -266,8 +283,9 @@ def test_a_fit_that_still_goes_elsewhere_has_not_converged(bench: Scene, basis: 
     class Restless:
         places = 0
 
-        def unbiased(self, scene: Scene, share: int) -> Basis:
+        def unbiased(self, scene: Scene, share: int, near: object) -> Basis:
             assert share == (1 if self.places else 4)  # few rays first
+            assert (near is None) == (self.places < 2)  # whole ones are compared with each other
             self.places += 1
             return traced(scene, 0.0 if rests else 0.15 * (-1) ** self.places)
 
@@ -399,7 +417,7 @@ def test_a_step_by_slopes_that_are_off_is_not_the_last_one(bench: Scene, basis: 
     class Unbiased:
         places = 0
 
-        def unbiased(self, scene: Scene, share: int) -> Basis:
+        def unbiased(self, scene: Scene, share: int, near: object) -> Basis:
             self.places += 1
             return traced(scene, 1.0)
 

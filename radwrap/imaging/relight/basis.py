@@ -26,7 +26,7 @@ from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.methods.hybrid import HybridPlan, corrected, corrections
 from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_tile, lattice
 from radwrap.imaging.methods.pieces import log_call, remove_strangers, run_jobs
-from radwrap.imaging.methods.rays import RaysPlan, TracedTile, traced_tile
+from radwrap.imaging.methods.rays import RaysPlan, traced_tile
 from radwrap.imaging.methods.smooth_blocks import with_known
 from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.optics.view import LitView
@@ -69,8 +69,9 @@ class FrozenTile:
         Of all that is drawn.
     cells : Cells or None
         Of a kernel.
-    like : Gathered, TracedTile or None
-        The tile in that light; none is needed where all sources are traced in one pass.
+    like : Gathered, ndarray or None
+        The tile in that light; by rays the number of each pixel. None where all sources are traced in one pass, and
+        nothing but they decides.
     corrected : Corrected, optional
         How a hybrid corrects its kernel, whose rays the rest is of.
     """
@@ -79,7 +80,7 @@ class FrozenTile:
     tile: int
     seed: tuple[int, ...]
     cells: Cells | None
-    like: Gathered | TracedTile | None
+    like: Gathered | NDArray[np.intp] | None
     corrected: Corrected | None = None
 
     def trace(
@@ -106,7 +107,7 @@ class FrozenTile:
                 view, self.plan, self.tile, self.cells, kept, seed=self.seed, progress=progress, like=like
             )
         elif isinstance(self.plan, RaysPlan):
-            numbers = self.like.numbers if isinstance(self.like, TracedTile) else None
+            numbers = self.like if isinstance(self.like, np.ndarray) else None
             tile = traced_tile(view, self.plan, self.tile, self.seed, progress, numbers=numbers)
             for values in lit.each(tile.values, 2):
                 yield values, np.zeros(0)
@@ -143,8 +144,19 @@ class Corrected:
             yield corrected(values, one, self.signed), change
 
 
-def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int, *, in_one_pass: bool) -> FrozenTile:
-    """Decide the rays of a tile in the light of all sources, which are to be traced `in_one_pass` or one by one."""
+def freeze_tile(
+    work: Work,
+    plan: Plan,
+    replicate: int,
+    tile: int,
+    *,
+    in_one_pass: bool,
+    numbers: NDArray[np.intp] | None = None,
+) -> FrozenTile:
+    """Decide the rays of a tile in the light of all sources, which are to be traced `in_one_pass` or one by one.
+
+    Of an image by rays the numbers of each pixel may be known.
+    """
     view, progress = replace(work.view, workers=1), work.progress.add
     seed = tile_seed(work.seed, replicate, tile)
     if isinstance(plan, HybridPlan):
@@ -155,7 +167,9 @@ def freeze_tile(work: Work, plan: Plan, replicate: int, tile: int, *, in_one_pas
         cells = tile_cells(work, plan, tile)
         like = None if in_one_pass else gathered_tile(view, plan, tile, cells, seed=seed, progress=progress)
         return FrozenTile(plan, tile, seed, cells, like)
-    return FrozenTile(plan, tile, seed, None, None if in_one_pass else traced_tile(view, plan, tile, seed, progress))
+    if numbers is None and plan.even is None and not in_one_pass:
+        numbers = traced_tile(view, plan, tile, seed, progress).numbers
+    return FrozenTile(plan, tile, seed, None, numbers)
 
 
 def grid_pixels(plan: Plan) -> NDArray[np.intp]:

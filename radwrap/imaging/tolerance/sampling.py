@@ -76,7 +76,8 @@ def pilot(work: Work, demand: Demand) -> Pilot:
     layered = root(found.one_layer.upper) > NEGLIGIBLE_SHARE * demand.tolerance
     model = max((found.model if layered else found.one_layer).mean, 0.0)
     cell, covered = None, float(sensor.pixels)
-    if math.isfinite(model) and (demand.method == "kernel" or math.sqrt(model) <= MODEL_SHARE * demand.tolerance):
+    is_asked = demand.method != "rays" and math.isfinite(model)
+    if is_asked and (demand.method == "kernel" or math.sqrt(model) <= MODEL_SHARE * demand.tolerance):
         usual = _even_kernel(view, found, layered=layered)
         replicates = trace_replicates(work, usual, _PILOT_REPLICATES)
         times = _times_too_large(view, replicates, model, demand)
