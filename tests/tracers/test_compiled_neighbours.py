@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("numba")
 
+from radwrap.scene.targets import MeshShape
 from radwrap.tracers.compiled.along_curve import along_curve
 from radwrap.tracers.compiled.arrays import Floats, Light, Whole, put, rows
 from radwrap.tracers.compiled.intersect import hidden
@@ -201,3 +202,41 @@ def test_a_sliver_does_not_hide_its_own_points() -> None:
     left = darkened(lights, ((tree, nodes), tables), group + behind, seen := Seen())
     assert [given[0] for given in left] == [1.0, 1.0, 1.0, 0.0]
     assert seen.all_hidden == 1
+
+
+def needles(random: np.random.Generator, count: int) -> MeshShape:
+    """Triangles of a width of 1e-13 to 1e-3 of their length."""
+    first, along, other = (
+        random.uniform(-1, 1, (count, 3)),
+        random.normal(size=(count, 3)),
+        random.normal(size=(count, 3)),
+    )
+    across = np.cross(along, other)
+    third = first + along * random.uniform(0, 1, (count, 1)) + across * 10 ** random.uniform(-13, -3, (count, 1))
+    return MeshShape(
+        np.stack([first, first + along, third], axis=1).reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_needles_with_lights_on_them(seed: int) -> None:
+    """Where rounding decides, it decides for each point as if that were asked by itself."""
+    random = np.random.default_rng(50 + seed)
+    (tree, nodes), tables = laid([needles(random, 20)])
+    lights = random_lights(random, LIGHTS)
+    lights["radiance"] = 1.0
+    some = tree[random.choice(20, LIGHTS)]
+    share = random.uniform(0, 1, LIGHTS)
+    put(lights, "x y z", np.stack([some[p] + share * some["u" + p] for p in "xyz"], axis=1))
+    seen = Seen()
+    for group in groups_of(random, tree):
+        left = darkened(lights, ((tree, nodes), tables), group, seen)
+        for (point, itself), given in zip(group, left, strict=True):
+            x, y, z = point.tolist()
+            for light, value in zip(lights, given.tolist(), strict=True):
+                lx, ly, lz, away, _ = towards(light, x, y, z)
+                due = not hidden(tree, nodes, tables, x, y, z, lx, ly, lz, away, itself, STACK)
+                assert value == due
+                seen.hidden += not due
+    assert seen.listed > 20
+    assert seen.hidden > 0

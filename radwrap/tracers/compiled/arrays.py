@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 # Kinds of shapes, and what their numbers a, b, c are.
-TRIANGLE: Final = 0
+TRIANGLE: Final = 0  # 1 where its normal is sure, 0 where it is so thin that rounding turns it
 RECTANGLE: Final = 1  # half width, half height, height of its plane
 POLYGON: Final = 2  # where its corners begin in `tables`, number of corners, height of its plane
 DISC: Final = 3  # squares of the radius and of its hole's, height of its plane

@@ -36,7 +36,8 @@ def crossing(s: Shape, tables: Floats, ox: float, oy: float, oz: float, dx: floa
     kind = s.kind
     px, py, pz = ox - s.x, oy - s.y, oz - s.z
     if kind == TRIANGLE:
-        return _triangle(s, px, py, pz, dx, dy, dz)
+        t = _triangle(s, px, py, pz, dx, dy, dz)
+        return t if s.a or _is_about(s, px + t * dx, py + t * dy, pz + t * dz) else math.inf
     if kind == SPHERE:
         return _sphere(s.a, px, py, pz, dx, dy, dz)
     if kind in (RECTANGLE, POLYGON, DISC):
@@ -75,6 +76,24 @@ def _triangle(s: Shape, px: float, py: float, pz: float, dx: float, dy: float, d
         return math.inf
     t = (s.vx * qx + s.vy * qy + s.vz * qz) * inverse
     return t if t > NEAREST else math.inf
+
+
+@compiled
+def _is_about(s: Shape, x: float, y: float, z: float) -> bool:
+    """Whether a place, from a triangle's first corner, lies in the box about it: of thin ones rounding meets others."""
+    size = max(abs(s.ux), abs(s.uy), abs(s.uz), abs(s.vx), abs(s.vy), abs(s.vz))
+    slack = SLACK * size + NEAREST
+    return (
+        min(0.0, s.ux, s.vx) - slack <= x <= max(0.0, s.ux, s.vx) + slack
+        and min(0.0, s.uy, s.vy) - slack <= y <= max(0.0, s.uy, s.vy) + slack
+        and min(0.0, s.uz, s.vz) - slack <= z <= max(0.0, s.uz, s.vz) + slack
+    )
+
+
+@compiled
+def has_plane(s: Shape) -> bool:
+    """Whether a shape lies in a plane whose normal is sure."""
+    return s.kind in (RECTANGLE, POLYGON, DISC) or (s.kind == TRIANGLE and s.a != 0)
 
 
 @compiled

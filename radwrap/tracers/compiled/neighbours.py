@@ -6,9 +6,6 @@ import math
 from typing import Final
 
 from radwrap.tracers.compiled.arrays import (
-    DISC,
-    POLYGON,
-    RECTANGLE,
     TRIANGLE,
     Cluster,
     Clusters,
@@ -21,7 +18,7 @@ from radwrap.tracers.compiled.arrays import (
     Whole,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.intersect import NEAREST, crossing, hidden, inverse_of
+from radwrap.tracers.compiled.intersect import NEAREST, crossing, has_plane, hidden, inverse_of
 from radwrap.tracers.compiled.shadows import OFF, ON, TOGETHER, WELL_OFF, overlap
 from radwrap.tracers.compiled.shine import towards
 
@@ -203,7 +200,7 @@ def farthest(around: Floats, there: tuple[float, float, float, float, float, flo
 @compiled
 def _heights(s: Shape, points: Floats, count: int) -> tuple[float, float]:
     """Least and largest height of points over a flat shape's plane; no bounds where it is not flat."""
-    if s.kind not in (TRIANGLE, RECTANGLE, POLYGON, DISC):
+    if not has_plane(s):
         return -math.inf, math.inf
     low, high = math.inf, -math.inf
     for n in range(count):
@@ -254,7 +251,7 @@ def _before(
         s, low, high = shapes[group[k]], heights[k, 0], heights[k, 1]
         if _on_one_side(s, low, high, there, away):
             continue
-        seen = _seen_behind(s, around, light) if s.kind == TRIANGLE else PARTLY
+        seen = _seen_behind(s, around, light) if s.kind == TRIANGLE and s.a else PARTLY
         if seen == WHOLLY and _is_parted(s, low, high, light, away):
             found[0] = group[k]
             return ALL_HIDDEN

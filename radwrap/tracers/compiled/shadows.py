@@ -5,10 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 from radwrap.tracers.compiled.arrays import (
-    DISC,
-    POLYGON,
-    RECTANGLE,
-    TRIANGLE,
     Cluster,
     Floats,
     Light,
@@ -20,7 +16,7 @@ from radwrap.tracers.compiled.arrays import (
     Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.intersect import NEAREST, hidden, inverse_of
+from radwrap.tracers.compiled.intersect import NEAREST, has_plane, hidden, inverse_of
 from radwrap.tracers.compiled.shine import towards
 
 # Lights of a part of a cluster.
@@ -155,7 +151,7 @@ def aside(
     may_touch: bool,
 ) -> bool:
     """Whether two boxes lie on one side of a flat shape's plane, which one of them `may_touch`."""
-    if s.kind not in (TRIANGLE, RECTANGLE, POLYGON, DISC):
+    if not has_plane(s):
         return False
     # Of each box the middle and half of what it reaches along the normal.
     x, y, z = (there.x0 + there.x1) / 2, (there.y0 + there.y1) / 2, (there.z0 + there.z1) / 2

@@ -29,6 +29,8 @@ from radwrap.tracers.compiled.intersect import padded
 from radwrap.tracers.compiled.tree import tree_of
 from radwrap.tracers.text_frame import TextFrame
 
+# Width over length of triangles that rounding may turn by as much as a ten-millionth.
+_THIN: Final = 1e-6
 # How far from parallel, in their lengths, opposite sides of a rectangle may be, and adjacent ones from a right angle.
 _RECTANGULAR: Final = 1e-12
 
@@ -152,7 +154,11 @@ def _triangles(corners: Floats) -> tuple[NDArray[np.void], Floats]:
     put(made, "x y z", corners[:, 0])
     put(made, "ux uy uz", first)
     put(made, "vx vy vz", second)
-    put(made, "nx ny nz", across / np.linalg.norm(across, axis=1, keepdims=True))
+    area = np.linalg.norm(across, axis=1, keepdims=True)
+    put(made, "nx ny nz", across / area)
+    sides = (first, second, second - first)
+    longest2 = np.max([np.sum(side * side, axis=1) for side in sides], axis=0)
+    made["a"] = area[:, 0] > _THIN * longest2
     return made, np.hstack([corners.min(axis=1), corners.max(axis=1)])
 
 
