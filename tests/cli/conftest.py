@@ -28,6 +28,7 @@ COMMAND: Final = Path(sys.executable).with_name("radwrap")
 FINAL_NAMES: Final = ("gray.png", "radiant_exposure.exr", "manifest.json")
 # No command of these tests takes longer than a few seconds, on a busy machine ten times that.
 PATIENCE: Final = 60.0
+GONE_WITHIN: Final = 2.0  # s after a kill
 
 # 24 x 20 pixels, a pinhole wide enough to blur over several of them, gray levels well between dark and saturation.
 SMALL: Final[dict[str, Any]] = {
@@ -229,7 +230,17 @@ def run(*argv: object, environment: Mapping[str, str] | None = None, **changes: 
 
 
 def inhabitants(folder: Path) -> list[str]:
-    """Processes that work in a folder or name it in their arguments, but for this one and its ancestors."""
+    """Processes that work in a folder or name it in their arguments, but for this one and its ancestors.
+
+    Those that are killed already need a moment to be gone on a busy machine.
+    """
+    end = time.monotonic() + GONE_WITHIN
+    while (found := _inhabitants(folder)) and time.monotonic() < end:
+        time.sleep(0.05)
+    return found
+
+
+def _inhabitants(folder: Path) -> list[str]:
     family = {os.getpid(), *(parent.pid for parent in psutil.Process().parents())}
     place = str(folder)
     found = []
