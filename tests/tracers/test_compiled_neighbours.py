@@ -105,7 +105,7 @@ def darkened(
     seen.free += int((of_lights == 0).sum())
     seen.all_hidden += int((of_lights == ALL_HIDDEN).sum())
     seen.listed += int(((of_lights > 0) & (of_lights <= LISTED)).sum())
-    seen.too_many += int((of_lights > LISTED).sum())
+    seen.too_many += int((asked[len(lights) : -len(clusters)] > LISTED).sum())
     return left
 
 
@@ -127,8 +127,8 @@ def test_what_is_asked_of_all_is_what_each_would_find(seed: int) -> None:
                 due = not hidden(tree, nodes, tables, x, y, z, lx, ly, lz, away, itself, STACK)
                 assert value == due
                 seen.hidden += not due
-    assert min(seen.listed, seen.hidden) > 20
-    assert seen.free > 0
+    assert seen.hidden > 20
+    assert min(seen.listed, seen.free) > 0
     assert seed % 2 or seen.all_hidden > 20  # only soup has triangles
     assert (seen.too_many > 20) == (seed == 0)
 
@@ -240,3 +240,25 @@ def test_needles_with_lights_on_them(seed: int) -> None:
                 seen.hidden += not due
     assert seen.listed > 20
     assert seen.hidden > 0
+
+
+def test_nothing_leaks_along_the_common_side_of_two_triangles() -> None:
+    """A light, the side and the points lie in one plane, within some digits: rounding may not leave out both."""
+    random = np.random.default_rng(9)
+    for _ in range(60):
+        across, size = random.uniform(-500, 500), random.uniform(1, 100)
+        low, high = across - size, across + size
+        corners = np.array([[low, -size, 50], [across, -size, 50], [across, size, 50], [low, size, 50], [high, 0, 50]])
+        plate = MeshShape(corners / 1e3, np.array([[0, 1, 2], [0, 2, 3], [1, 4, 2]]))
+        (tree, nodes), tables = laid([plate])
+        lights = rows(Light, 1)
+        lights["own"], lights["radiance"] = -1, 1.0
+        put(lights, "x y z", np.array([[across * (1 + random.integers(-4, 5) * 2e-16), 0.3 * size, 90.0]]))
+        for count in (1, 5, NEIGHBOURS):
+            group = []
+            for _ in range(count):
+                off = across * random.integers(-4, 5) * 2e-16 + random.choice([0.0, 1e-9, -1e-10, 1e-12])
+                group.append((np.array([across + off, random.uniform(-0.3, 0.3) * size, 0.0]), -1))
+            assert [float(given[0]) for given in darkened(lights, ((tree, nodes), tables), group, Seen())] == [
+                0.0
+            ] * count

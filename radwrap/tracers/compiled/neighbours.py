@@ -18,15 +18,17 @@ from radwrap.tracers.compiled.arrays import (
     Whole,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.intersect import NEAREST, crossing, has_plane, hidden, inverse_of
-from radwrap.tracers.compiled.shadows import OFF, ON, TOGETHER, WELL_OFF, overlap
+from radwrap.tracers.compiled.intersect import NEAREST, SLACK, crossing, has_plane
+from radwrap.tracers.compiled.shadows import OFF, ON, TOGETHER, WELL_OFF, clear, is_hidden
+from radwrap.tracers.compiled.shaft import Box, box_of, next_leaf, shaft_between
 from radwrap.tracers.compiled.shine import towards
 
 # Points that are asked about together: more share the cost of asking, but lie farther apart, so that more may stand
 # between them and a light.
 NEIGHBOURS: Final = 16
-# Shapes for which a list has room; where more may stand between, each point asks the tree.
-LISTED: Final = 64
+# Shapes for which a list has room; where more may stand between, as for points that are far apart, each point asks the
+# tree: to look through long lists takes longer.
+LISTED: Final = 24
 NOT_ASKED: Final = -1
 ALL_HIDDEN: Final = -2
 # How much of a box lies behind something, as a light sees it.
@@ -86,6 +88,7 @@ def darken(
         Room to work in.
     """
     whole = len(lights) + len(parts) + number
+    own, own_free = -1, False
     for i in range(cluster.first, cluster.end):
         if not given[i] > 0:
             continue
@@ -102,6 +105,14 @@ def darken(
         if asked[group] == 0:
             continue
         light = lights[i]
+        if asked[group] > LISTED:
+            if own < 0 and clear(shapes, nodes, cluster, x, y, z, itself, stack):
+                return
+            if part != own:
+                own, own_free = part, clear(shapes, nodes, parts[part], x, y, z, itself, stack)
+            if not own_free and is_hidden(light, shapes, nodes, tables, x, y, z, itself, stack):
+                given[i] = 0.0
+            continue
         if asked[i] == NOT_ASKED:
             asked[i] = _before(shapes, around, light, asked[group], between[group], heights[part], between[i])
         if asked[i] == 0:
@@ -109,22 +120,16 @@ def darken(
         if asked[i] == ALL_HIDDEN and between[i, 0] != itself:
             given[i] = 0.0
             continue
-        lx, ly, lz, away, _ = towards(light, x, y, z)
-        if asked[i] > LISTED or asked[i] == ALL_HIDDEN:
-            if hidden(shapes, nodes, tables, x, y, z, lx, ly, lz, away, itself, stack):
+        if asked[i] == ALL_HIDDEN:
+            if is_hidden(light, shapes, nodes, tables, x, y, z, itself, stack):
                 given[i] = 0.0
             continue
+        lx, ly, lz, away, _ = towards(light, x, y, z)
         for k in range(asked[i]):
             s = between[i, k]
             if s != itself and crossing(shapes[s], tables, x, y, z, lx, ly, lz) < away:
                 given[i] = 0.0
                 break
-
-
-@compiled
-def box_of(cluster: Cluster) -> tuple[float, float, float, float, float, float]:
-    """Least and largest places of a cluster."""
-    return cluster.x0, cluster.y0, cluster.z0, cluster.x1, cluster.y1, cluster.z1
 
 
 @compiled
@@ -144,7 +149,7 @@ def _standing(
     points: Floats,
     count: int,
     around: Floats,
-    there: tuple[float, float, float, float, float, float],
+    there: Box,
     found: Whole,
     heights: Floats,
     room: int,
@@ -157,38 +162,25 @@ def _standing(
     """
     if not len(nodes):
         return 0
-    x0, y0, z0, x1, y1, z1 = around[0], around[1], around[2], around[3], around[4], around[5]
-    ax, bx, ay, by, az, bz = there[0] - x0, there[3] - x1, there[1] - y0, there[4] - y1, there[2] - z0, there[5] - z1
-    iax, ibx, iay, iby = inverse_of(ax), inverse_of(bx), inverse_of(ay), inverse_of(by)
-    iaz, ibz = inverse_of(az), inverse_of(bz)
-    away = farthest(around, there)
-    listed, height = 0, 1
+    here = (around[0], around[1], around[2], around[3], around[4], around[5])
+    shaft, away, height, listed = shaft_between(here, there), farthest(around, there), 1, 0
     stack[0] = 0
-    while height:
-        height -= 1
-        node = stack[height]
-        box = nodes[node]
-        near, far = overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
-        near, far = overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
-        near, far = overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
-        if near > far:
-            continue
-        if not box.count:
-            stack[height], stack[height + 1] = box.second, node + 1
-            height += 2
-            continue
-        for i in range(box.first, box.first + box.count):
+    while True:
+        leaf, height = next_leaf(nodes, shaft, height, stack)
+        if leaf < 0:
+            return listed
+        first = nodes[leaf].first
+        for i in range(first, first + nodes[leaf].count):
             low, high = _heights(shapes[i], points, count)
             if not _on_one_side(shapes[i], low, high, there, away):
                 if listed == room:
                     return room + 1
                 found[listed], heights[listed, 0], heights[listed, 1] = i, low, high
                 listed += 1
-    return listed
 
 
 @compiled
-def farthest(around: Floats, there: tuple[float, float, float, float, float, float]) -> float:
+def farthest(around: Floats, there: Box) -> float:
     """At least the distance of any two places in two boxes."""
     return (
         max(there[3] - around[0], around[3] - there[0])
@@ -210,9 +202,7 @@ def _heights(s: Shape, points: Floats, count: int) -> tuple[float, float]:
 
 
 @compiled
-def _on_one_side(
-    s: Shape, low: float, high: float, there: tuple[float, float, float, float, float, float], away: float
-) -> bool:
+def _on_one_side(s: Shape, low: float, high: float, there: Box, away: float) -> bool:
     """Whether points of known heights and a box, at most so far apart, lie on one side of a flat shape's plane.
 
     The points may touch it, as rays then meet it no farther from their ends than they may.
@@ -237,13 +227,11 @@ def _before(
     shapes, around, light
         As `darken`.
     count, group, heights : int, ndarray of int, ndarray
-        How many shapes, or more than `LISTED`; which, and the points' heights over them.
+        How many shapes; which, and the points' heights over them.
     found : ndarray of int, shape (LISTED,)
         Filled with those that may, or first with the one that hides the light from all but points on it: the normal of
         a sliver may be so far off that these seem to lie behind it.
     """
-    if count > LISTED:
-        return count
     there = (light.x, light.y, light.z, light.x, light.y, light.z)
     away = farthest(around, there)
     left = 0
@@ -279,22 +267,28 @@ def _seen_behind(s: Shape, around: Floats, light: Light) -> int:
     # Normals of the planes through the light and each side, all to the inside or all to the outside.
     px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     inside = px * cx + py * cy + pz * cz
-    # Where rounding decides that, the light lies in the triangle's plane, and it hides nothing that is off the plane.
+    # A ray may meet a triangle beside it by a share of its size, which grows on the way from there; a light that is so
+    # near the triangle's plane that rounding decides on its side may see it anywhere.
+    size = abs(s.ux) + abs(s.uy) + abs(s.uz) + abs(s.vx) + abs(s.vy) + abs(s.vz)
+    height = abs(ax * s.nx + ay * s.ny + az * s.nz)
+    if height <= OFF * size:
+        return PARTLY
+    slack = OFF + SLACK * size / height
     side = 1.0 if inside > 0 else -1.0
-    one = _beyond(side, px, py, pz, around, light)
+    one = _beyond(side, px, py, pz, around, light, slack)
     if one == NOWHERE:
         return NOWHERE
     qx, qy, qz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    two = _beyond(side, qx, qy, qz, around, light)
+    two = _beyond(side, qx, qy, qz, around, light, slack)
     if two == NOWHERE:
         return NOWHERE
     rx, ry, rz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-    return min(one, two, _beyond(side, rx, ry, rz, around, light))
+    return min(one, two, _beyond(side, rx, ry, rz, around, light, slack))
 
 
 @compiled
-def _beyond(side: float, nx: float, ny: float, nz: float, around: Floats, light: Light) -> int:
-    """How much of a box lies on that side of a plane through a light."""
+def _beyond(side: float, nx: float, ny: float, nz: float, around: Floats, light: Light, slack: float) -> int:
+    """How much of a box lies on that side of a plane through a light, by more than a share of its distance."""
     x, y, z = (
         (around[0] + around[3]) / 2 - light.x,
         (around[1] + around[4]) / 2 - light.y,
@@ -303,7 +297,7 @@ def _beyond(side: float, nx: float, ny: float, nz: float, around: Floats, light:
     dx, dy, dz = around[3] - around[0], around[4] - around[1], around[5] - around[2]
     wide, high, deep = abs(nx), abs(ny), abs(nz)
     place, half = side * (nx * x + ny * y + nz * z), (wide * dx + high * dy + deep * dz) / 2
-    off = OFF * (wide * abs(x) + high * abs(y) + deep * abs(z))
+    off = slack * (wide + high + deep) * (abs(x) + abs(y) + abs(z))
     if place + half < -off:
         return NOWHERE
     return WHOLLY if place - half > off else PARTLY

@@ -27,8 +27,8 @@ from radwrap.tracers.compiled.arrays import (
     rows,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.intersect import inverse_of
-from radwrap.tracers.compiled.shadows import OFF, aside, overlap
+from radwrap.tracers.compiled.shadows import OFF, aside
+from radwrap.tracers.compiled.shaft import box_of, next_leaf, shaft_between
 from radwrap.tracers.compiled.whole_face import corner
 
 # Lights that are asked one by one, and triangles whose neighbours are looked up, at most: what it saves is rays of one
@@ -187,42 +187,20 @@ def _height(x: float, y: float, z: float, seen: Floats) -> float:
 def _is_even(
     shapes: Shapes, nodes: Nodes, edges: Floats, light: Cluster, block: Cluster, but: int, stack: Whole, seen: Floats
 ) -> bool:
-    """Whether no outline lies between a point of light and a block; only "yes" is sure.
-
-    The walk is that of `shadows.clear_between`, which each ray of an image goes: what is asked of a shape stays in it.
-    """
+    """Whether no outline lies between a point of light and a block; only "yes" is sure."""
     over, least = seen[_HEIGHTS, 0], seen[_HEIGHTS, 1]
     if over < -least:  # it shines on the face's other side
         return True
     if over <= least:
         return False
-    x0, y0, z0, x1, y1, z1 = block.x0, block.y0, block.z0, block.x1, block.y1, block.z1
-    ax, bx, ay, by, az, bz = (
-        light.x0 - x0,
-        light.x0 - x1,
-        light.y0 - y0,
-        light.y0 - y1,
-        light.z0 - z0,
-        light.z0 - z1,
-    )
-    iax, ibx, iay, iby = inverse_of(ax), inverse_of(bx), inverse_of(ay), inverse_of(by)
-    iaz, ibz = inverse_of(az), inverse_of(bz)
-    height = 1
+    x0, y0, z0, x1, y1, z1 = box_of(block)
+    shaft, height = shaft_between((x0, y0, z0, x1, y1, z1), box_of(light)), 1
     stack[0] = 0
-    while height:
-        height -= 1
-        node = stack[height]
-        box = nodes[node]
-        near, far = overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
-        near, far = overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
-        near, far = overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
-        if near > far:
-            continue
-        if not box.count:
-            stack[height], stack[height + 1] = box.second, node + 1
-            height += 2
-            continue
-        for i in range(box.first, box.first + box.count):
+    while True:
+        leaf, height = next_leaf(nodes, shaft, height, stack)
+        if leaf < 0:
+            return True
+        for i in range(nodes[leaf].first, nodes[leaf].first + nodes[leaf].count):
             s = shapes[i]
             if i == but or aside(s, light, x0, y0, z0, x1, y1, z1, True):
                 continue
@@ -231,7 +209,6 @@ def _is_even(
                     return False
             elif s.kind != RECTANGLE or _has_rim(s, seen):
                 return False
-    return True
 
 
 @compiled

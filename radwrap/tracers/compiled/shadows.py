@@ -16,7 +16,8 @@ from radwrap.tracers.compiled.arrays import (
     Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.intersect import NEAREST, has_plane, hidden, inverse_of
+from radwrap.tracers.compiled.intersect import NEAREST, has_plane, hidden
+from radwrap.tracers.compiled.shaft import box_of, next_leaf, shaft_between
 from radwrap.tracers.compiled.shine import towards
 
 # Lights of a part of a cluster.
@@ -51,14 +52,15 @@ def darken_own(
             asked = True
             if clear(discs, nodes, cluster, x, y, z, -1, stack):
                 return
-        if _is_hidden(lights[i], discs, nodes, tables, x, y, z, own, stack):
+        if is_hidden(lights[i], discs, nodes, tables, x, y, z, own, stack):
             given[i] = 0.0
 
 
 @compiled
-def _is_hidden(
+def is_hidden(
     light: Light, shapes: Shapes, nodes: Nodes, tables: Floats, x: float, y: float, z: float, but: int, stack: Whole
 ) -> bool:
+    """Whether any shape but one stands between a point and a light."""
     lx, ly, lz, away, _ = towards(light, x, y, z)
     return hidden(shapes, nodes, tables, x, y, z, lx, ly, lz, away, but, stack)
 
@@ -90,52 +92,20 @@ def clear_between(
 
     Where they `may_touch`, a flat shape in whose plane one of the boxes lies stands between nothing.
 
-    What rays between them may pass lies, at each share t of their way, in a
-    box that changes with t from one to the other: one walk down the tree in
-    place of one for each ray. Only "yes" is sure.
+    Only "yes" is sure.
     """
     if len(shapes) <= (but >= 0):
         return True
-    ax, bx, ay, by, az, bz = there.x0 - x0, there.x1 - x1, there.y0 - y0, there.y1 - y1, there.z0 - z0, there.z1 - z1
-    iax, ibx, iay, iby = inverse_of(ax), inverse_of(bx), inverse_of(ay), inverse_of(by)
-    iaz, ibz = inverse_of(az), inverse_of(bz)
-    height, node = 1, 0
+    shaft, height = shaft_between((x0, y0, z0, x1, y1, z1), box_of(there)), 1
     stack[0] = 0
-    while height:
-        height -= 1
-        node = stack[height]
-        box = nodes[node]
-        near, far = overlap(box.x0 - x1, box.x1 - x0, ax, bx, iax, ibx, 0.0, 1.0)
-        near, far = overlap(box.y0 - y1, box.y1 - y0, ay, by, iay, iby, near, far)
-        near, far = overlap(box.z0 - z1, box.z1 - z0, az, bz, iaz, ibz, near, far)
-        if near > far:
-            continue
-        count = box.count
-        if count:
-            first = box.first
-            for i in range(first, first + count):
-                if i != but and not aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
-                    return False
-        else:
-            stack[height], stack[height + 1] = box.second, node + 1
-            height += 2
-    return True
-
-
-@compiled
-def overlap(
-    low: float, high: float, a: float, b: float, ia: float, ib: float, near: float, far: float
-) -> tuple[float, float]:
-    """Shares of the way, within those given, at which [t a, t b] meets [low, high]; `i` are inverses."""
-    if a >= 0:
-        far = min(far, high * ia)
-    else:
-        near = max(near, high * ia)
-    if b >= 0:
-        near = max(near, low * ib)
-    else:
-        far = min(far, low * ib)
-    return near, far
+    while True:
+        leaf, height = next_leaf(nodes, shaft, height, stack)
+        if leaf < 0:
+            return True
+        first = nodes[leaf].first
+        for i in range(first, first + nodes[leaf].count):
+            if i != but and not aside(shapes[i], there, x0, y0, z0, x1, y1, z1, may_touch):
+                return False
 
 
 @compiled

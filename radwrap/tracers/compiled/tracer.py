@@ -145,6 +145,8 @@ class CompiledTracer:
         values = np.zeros((count, columns))
         known_places = self.memories.pop() if self.memories else memory()
         stack = np.empty(DEPTH, dtype=np.int64)
+        # Else points ask for nothing together.
+        is_asking = len(scene.clusters) > 0 and len(scene.targets.shapes) > 1 and lights["radiance"].any()
         for part in self._parts(
             len(block), len(lights) + (POINTS_OF_A_LIGHT << max(0, -scene.halvings)) * len(scene.wides)
         ):
@@ -152,6 +154,9 @@ class CompiledTracer:
             rays, (x0, y0, z0), units = block[part], scene.frame.origin, float(scene.frame.units)
             if known is None:
                 _check(meet(*self._there, scene.tables, rays, x0, y0, z0, units, lengths, met, stack))
+            order = np.arange(len(rays))
+            if is_asking:
+                order = along_curve(scene.targets.nodes, rays, x0, y0, z0, units, lengths, met)
             trace(
                 *self._there,
                 scene.covers,
@@ -175,7 +180,7 @@ class CompiledTracer:
                 values[part],
                 lengths,
                 met,
-                along_curve(scene.targets.nodes, rays, x0, y0, z0, units, lengths, met),
+                order,
                 np.empty(len(lights)),
                 np.empty((NEIGHBOURS, 3)),
                 np.empty(6),
