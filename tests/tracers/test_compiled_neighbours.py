@@ -109,6 +109,22 @@ def darkened(
     return left
 
 
+def held_against_single_rays(random: np.random.Generator, lights: np.ndarray, laid_out: tuple[Any, Floats]) -> Seen:
+    """See that points which are asked together find what each finds by a ray of its own."""
+    (tree, nodes), tables = laid_out
+    seen = Seen()
+    for group in groups_of(random, tree):
+        left = darkened(lights, laid_out, group, seen)
+        for (point, itself), given in zip(group, left, strict=True):
+            x, y, z = point.tolist()
+            for light, value in zip(lights, given.tolist(), strict=True):
+                lx, ly, lz, away, _ = towards(light, x, y, z)
+                due = not hidden(tree, nodes, tables, x, y, z, lx, ly, lz, away, itself, STACK)
+                assert value == due
+                seen.hidden += not due
+    return seen
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_asked_of_all_is_what_each_would_find(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -117,16 +133,7 @@ def test_what_is_asked_of_all_is_what_each_would_find(seed: int) -> None:
     lights = random_lights(random, LIGHTS)
     lights["radiance"] = 1.0
     put(lights, "x y z", random.uniform(-1500, 1500, 3) + random.uniform(-200, 200, (LIGHTS, 3)))
-    seen = Seen()
-    for group in groups_of(random, tree):
-        left = darkened(lights, ((tree, nodes), tables), group, seen)
-        for (point, itself), given in zip(group, left, strict=True):
-            x, y, z = point.tolist()
-            for light, value in zip(lights, given.tolist(), strict=True):
-                lx, ly, lz, away, _ = towards(light, x, y, z)
-                due = not hidden(tree, nodes, tables, x, y, z, lx, ly, lz, away, itself, STACK)
-                assert value == due
-                seen.hidden += not due
+    seen = held_against_single_rays(random, lights, ((tree, nodes), tables))
     assert seen.hidden > 20
     assert min(seen.listed, seen.free) > 0
     assert seed % 2 or seen.all_hidden > 20  # only soup has triangles
@@ -228,16 +235,7 @@ def test_needles_with_lights_on_them(seed: int) -> None:
     some = tree[random.choice(20, LIGHTS)]
     share = random.uniform(0, 1, LIGHTS)
     put(lights, "x y z", np.stack([some[p] + share * some["u" + p] for p in "xyz"], axis=1))
-    seen = Seen()
-    for group in groups_of(random, tree):
-        left = darkened(lights, ((tree, nodes), tables), group, seen)
-        for (point, itself), given in zip(group, left, strict=True):
-            x, y, z = point.tolist()
-            for light, value in zip(lights, given.tolist(), strict=True):
-                lx, ly, lz, away, _ = towards(light, x, y, z)
-                due = not hidden(tree, nodes, tables, x, y, z, lx, ly, lz, away, itself, STACK)
-                assert value == due
-                seen.hidden += not due
+    seen = held_against_single_rays(random, lights, ((tree, nodes), tables))
     assert seen.listed > 20
     assert seen.hidden > 0
 
