@@ -193,7 +193,7 @@ def test_a_few_replicates_carry_all_of_them_to_a_scene_nearby(tmp_path: Path) ->
     whole = source_images(SCENE, tmp_path / "whole", OPTIONS, aimed)
     again = AimedRays(1.0, 3, whole.numbers)
     same = whole.carried(source_images(SCENE, tmp_path / "same", OPTIONS, again))
-    assert same is not None
+    assert same is not None  # as of a scene that is too far away
     assert np.array_equal(same.images, whole.images)  # by the very same rays nothing changes
     far = changed(SCENE, {"targets[0].edge_position": FAR})
     assert whole.carried(source_images(far, tmp_path / "far", OPTIONS, again)) is None

@@ -253,9 +253,8 @@ def _spread_out(shape: Shape, fit: Contour, best: State, nodes: list[Trial]) -> 
     widths, blurs, rises = np.array([(node.width, node.blur, node.rise) for node in nodes]).T
     places = np.linspace(widths[0], widths[-1], _FINE)
     curve = PchipInterpolator(widths, rises)(places)
-    likelihood = np.exp(
-        -(curve - curve.min()) / 2
-    )  # of pictures without noise variances are so small that exp overflows
+    # From its least: of pictures without noise variances are so small that exp would overflow.
+    likelihood = np.exp(-(curve - curve.min()) / 2)
     likelihood /= likelihood.sum()
     square = float(likelihood @ (places - fit.parameters[-1]) ** 2)
     # What is left of the blur's variance where the width is given is as the slopes have it.

@@ -43,12 +43,14 @@ def put_keys(
     keys: Whole,
 ) -> None:
     """Fill in how far along the curve each ray's place is."""
+    keys[:] = _LAST
+    if not len(nodes):
+        return
+    box = nodes[0]
+    scale = ((1 << _BITS) - 1) / max(box.x1 - box.x0, box.y1 - box.y0, box.z1 - box.z0)
     for r in range(len(rays)):
         if met[r] < 0:
-            keys[r] = _LAST
             continue
-        box = nodes[0]
-        scale = ((1 << _BITS) - 1) / max(box.x1 - box.x0, box.y1 - box.y0, box.z1 - box.z0)
         _, ox, oy, oz, dx, dy, dz = placed(rays, r, x0, y0, z0, units)
         t = lengths[r]
         x, y, z = ox + t * dx - box.x0, oy + t * dy - box.y0, oz + t * dz - box.z0

@@ -117,11 +117,8 @@ def darken(
             asked[i] = _before(shapes, around, light, asked[group], between[group], heights[part], between[i])
         if asked[i] == 0:
             continue
-        if asked[i] == ALL_HIDDEN and between[i, 0] != itself:
-            given[i] = 0.0
-            continue
         if asked[i] == ALL_HIDDEN:
-            if is_hidden(light, shapes, nodes, tables, x, y, z, itself, stack):
+            if between[i, 0] != itself or is_hidden(light, shapes, nodes, tables, x, y, z, itself, stack):
                 given[i] = 0.0
             continue
         lx, ly, lz, away, _ = towards(light, x, y, z)
