@@ -14,11 +14,13 @@ import pytest
 
 import radwrap
 from radwrap.errors import InputError
+from radwrap.imaging.methods.central import EdgeSampling
 from radwrap.imaging.optics.view import View
+from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.bounds import Bounded
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.wave_image import WaveError, _common_square, visible_gray, wave_error
-from radwrap.imaging.tolerance.wave_parts import _crossing, wave_parts
+from radwrap.imaging.tolerance.wave_parts import WaveParts, _crossing, wave_parts
 from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
 from radwrap.imaging.with_waves import _finer, _Image, _left_to_image
 from radwrap.scene.camera import Aperture, Lens
@@ -185,10 +187,34 @@ def test_errors_that_have_nothing_in_common_add_as_squares() -> None:
 
 def test_what_lasts_holds_no_noise_of_rays() -> None:
     """Of three sets with an error in common, 2, and noise of 3: what they have in common is told."""
-    noise = np.random.default_rng(1).normal(0, 3, (3, 200, 200))
-    assert _common_square(2 + noise) == pytest.approx(4, rel=0.02)
-    assert _common_square(noise) < 0.1
-    assert _common_square(np.stack([np.ones((2, 2)), -np.ones((2, 2))])) == 0.0
+    noise = np.random.default_rng(1).normal(0, 3, (3, 600, 400))  # of more than one strip
+
+    def common(lasting: Array) -> float:
+        return _common_square(lasting, np.full(lasting.shape[1:], 7.0), lambda values: values)
+
+    assert common(2 + noise) == pytest.approx(4, rel=0.02)
+    assert common(noise) < 0.1
+    assert common(np.stack([np.ones((2, 2)), -np.ones((2, 2))])) == 0.0
+
+
+def test_an_image_of_many_strips_has_the_error_of_all_its_pixels() -> None:
+    """Rows are looked at few at a time: none is left out, and none counts twice."""
+    random, shape = np.random.default_rng(5), (601, 400)
+    made, change = 5 + np.arange(601)[:, np.newaxis] / 300 + random.random(shape), random.normal(0, 1, (2, *shape))
+    cells, beyond = random.normal(0, 0.5, shape), np.full(shape, 0.25)
+    parts = WaveParts(change, cells, np.zeros_like(change), beyond, 0, EdgeSampling(1, 0.0))
+
+    def gray(values: Array) -> Array:
+        return 3 * values
+
+    found = wave_error(parts, made, gray, 1)
+    samples = 3 * (change[0] - change[1]) / 2
+    assert found.noise.mean == pytest.approx(float((samples**2).mean()))
+    assert found.cells == pytest.approx(9 * float((cells**2).mean()))
+    assert found.tails == pytest.approx(0.75)
+    off = math.sqrt(found.noise.upper / found.noise.mean) * np.abs(samples) + 3 * np.abs(cells) + 0.75
+    assert found.quantile == pytest.approx(float(np.quantile(off, 0.995)))
+    assert [row for strip in strips_of(*shape) for row in range(601)[strip]] == list(range(601))
 
 
 def test_an_image_that_a_budget_ended_too_soon_is_not_taken() -> None:

@@ -134,9 +134,14 @@ class SmoothField:
         down = (v + 0.5) / self.block - self.first[0] - row
         right = (u + 0.5) / self.block - self.first[1] - column
 
+        width = self.smooth.shape[1] + 1
+        first = row * width + column  # numbers of the corners: one index is looked up faster than two
+
         def between(corner: Array) -> Array:
-            upper = corner[..., row, column] * (1 - right) + corner[..., row, column + 1] * right
-            lower = corner[..., row + 1, column] * (1 - right) + corner[..., row + 1, column + 1] * right
+            numbered = corner.reshape(*corner.shape[:-2], -1)
+            upper = numbered.take(first, -1) * (1 - right) + numbered.take(first + 1, -1) * right
+            below = first + width
+            lower = numbered.take(below, -1) * (1 - right) + numbered.take(below + 1, -1) * right
             found: Array = upper * (1 - down) + lower * down
             return found
 

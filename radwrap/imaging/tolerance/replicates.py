@@ -20,6 +20,7 @@ from radwrap.imaging.methods.pieces import Pieces, log_call, remove_halves, run_
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.bounds import Bounded, mean_square_of_differences
 from radwrap.kept import Kept
 from radwrap.manifest import sha256_of_value
@@ -386,9 +387,13 @@ def discretisation(view: View, replicates: Replicates) -> tuple[Bounded, NDArray
     camera, block = view.camera, replicates.block
 
     def noise(images: NDArray[np.float32], block: tuple[int, int]) -> tuple[Bounded, NDArray[np.float64]]:
-        rows, columns = looks(block)
-        radiance = np.maximum(images[:, ::rows, ::columns].astype(np.float64), 0.0)
-        return noise_of(gray_levels(radiance * view.exposure_of_radiance, camera.sensor), block, (rows, columns))
+        rows, columns = steps = looks(block)
+        seen = images[:, ::rows, ::columns]
+        errors = np.empty((len(seen) - 1, *seen.shape[1:]))
+        for strip in strips_of(*seen.shape[1:]):
+            radiance = np.maximum(seen[:, strip].astype(np.float64), 0.0)
+            errors[:, strip] = contrasts(gray_levels(radiance * view.exposure_of_radiance, camera.sensor))
+        return mean_square_of_differences(errors, looked_at(block, steps)), errors
 
     grid = Bounded(replicates.grid_square, replicates.grid_square)
     if replicates.uncorrected is None:
@@ -442,8 +447,19 @@ def noise_of(
     steps : tuple of int
         Between the rows and columns that are looked at [px], see `looks`; 1 where pixels have errors of their own.
     """
-    rows, columns = steps
+    errors = contrasts(gray)
+    return mean_square_of_differences(errors, looked_at(block, steps)), errors
+
+
+def contrasts(gray: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Helmert's contrasts of replicates, shape (replicates - 1, rows, columns).
+
+    They are independent, each with the variance of the mean of all replicates.
+    """
     number = len(gray)
-    # Helmert's contrasts: independent, each with the variance of the mean of all replicates.
-    errors = np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])
-    return mean_square_of_differences(errors, (-(-block[0] // rows), -(-block[1] // columns))), errors
+    return np.stack([(gray[:k].mean(axis=0) - gray[k]) * math.sqrt(k / (k + 1) / number) for k in range(1, number)])
+
+
+def looked_at(block: tuple[int, int], steps: tuple[int, int]) -> tuple[int, int]:
+    """Of a block, the rows and columns that are looked at, by such steps."""
+    return -(-block[0] // steps[0]), -(-block[1] // steps[1])

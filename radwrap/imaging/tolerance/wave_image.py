@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.optics.view import View, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
-from radwrap.imaging.tolerance.bounds import NOTHING, Bounded
-from radwrap.imaging.tolerance.replicates import noise_of
+from radwrap.imaging.response.strips import strips_of
+from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, mean_square_of_differences
+from radwrap.imaging.tolerance.replicates import contrasts
 from radwrap.imaging.tolerance.wave_parts import WaveParts
 from radwrap.scene.camera import Sensor
 
@@ -64,34 +65,44 @@ def wave_error(parts: WaveParts, made: Array, gray: Gray, block: int) -> WaveErr
     block : int
         Rows and columns over which errors hang together [px].
     """
-    apart = parts.change - parts.change.mean(axis=0)
-    noise, samples = NOTHING, np.zeros((1, *made.shape))
-    if apart.any():
-        # Each replicate about the image as it is: where it is saturated none of them shows.
-        noise, samples = noise_of(gray(made + apart), (block, block), (1, 1))
-    scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
-    size = np.sqrt((samples**2).mean(axis=0)) if len(samples) > 1 else np.abs(samples[0])
+    replicates, scale = len(parts.change), 1.0
+    noise, size = NOTHING, np.zeros(made.shape)
+    if (parts.change != parts.change[0]).any():
+        samples = np.empty((replicates - 1, *made.shape))
+        for strip in strips_of(*made.shape):
+            change = parts.change[:, strip]
+            # Each replicate about the image as it is: where it is saturated none of them shows.
+            samples[:, strip] = contrasts(gray(made[strip] + (change - change.mean(axis=0))))
+            size[strip] = np.sqrt((samples[:, strip] ** 2).mean(axis=0))
+        noise = mean_square_of_differences(samples, (block, block))
+        scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
     lasting = lasting_wave_error(parts.cells, parts.beyond, made, gray, noise=scale * size)
-    return replace(
-        lasting, noise=noise, lasting=min(lasting.cells, _common_square(gray(made + parts.lasting) - gray(made)))
-    )
+    common = _common_square(parts.lasting, made, gray)
+    return replace(lasting, noise=noise, lasting=min(lasting.cells, common))
 
 
-def _common_square(each: Array) -> float:
+def _common_square(lasting: Array, made: Array, gray: Gray) -> float:
     """Mean square of what independent replicates have in common, 0 at least: their products hold no noise."""
-    number, together, apart = len(each), float((each.sum(axis=0) ** 2).sum()), float((each**2).sum())
-    return float(max(together - apart, 0.0) / (number * (number - 1) * each[0].size))
+    number, products = len(lasting), 0.0
+    for strip in strips_of(*made.shape):
+        each = gray(made[strip] + lasting[:, strip]) - gray(made[strip])
+        products += float((each.sum(axis=0) ** 2).sum()) - float((each**2).sum())
+    return max(products, 0.0) / (number * (number - 1) * made.size)
 
 
 def lasting_wave_error(
     cells: Array, beyond: Array, made: Array, gray: Gray, *, noise: Array | float = 0.0
 ) -> WaveError:
     """As `wave_error`, of what more rays do not make smaller; the quantile holds a noise of each pixel [gray level]."""
-    exact = gray(made)
-    changed, far = gray(made + cells) - exact, gray(made + beyond) - exact
-    quantile = float(np.quantile(noise + np.abs(changed) + np.abs(far), _QUANTILE))
-    square = float((changed**2).mean())
-    return WaveError(NOTHING, square, square, math.sqrt(float((far**2).mean())), quantile)
+    whole, square, tails = np.broadcast_to(noise, made.shape).copy(), 0.0, 0.0
+    for strip in strips_of(*made.shape):
+        exact = gray(made[strip])
+        changed, far = gray(made[strip] + cells[strip]) - exact, gray(made[strip] + beyond[strip]) - exact
+        whole[strip] += np.abs(changed) + np.abs(far)
+        square, tails = square + float((changed**2).sum()), tails + float((far**2).sum())
+    square, tails = square / made.size, math.sqrt(tails / made.size)
+    quantile = float(np.quantile(whole, _QUANTILE, overwrite_input=True))
+    return WaveError(NOTHING, square, square, tails, quantile)
 
 
 def visible_gray(exposure_of_radiance: float, sensor: Sensor) -> Gray:

@@ -146,12 +146,17 @@ def wave_parts(
                 lasting[replicate, r0:r1, c0:c1] += of_hiding
 
     run([partial(trace, tile) for tile in tiles])
-    beyond = np.zeros((sensor.rows, sensor.columns))
-    for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
-        (around,) = far_light(lit, plan, replicate, count)
-        far, farther = far_change(of_light, around)
-        change[replicate] += far
-        beyond += farther / replicates
+    beyond = np.zeros((replicates, sensor.rows, sensor.columns))
+
+    def add_far(replicate: int) -> None:
+        for lit, of_light in plans:
+            (around,) = far_light(replace(lit, workers=1), plan, replicate, count)
+            far, farther = far_change(of_light, around)
+            change[replicate] += far
+            beyond[replicate] += farther / replicates
+
+    run([partial(add_far, replicate) for replicate in range(replicates)])
+    beyond = beyond.sum(axis=0)
     return WaveParts(change, cells, lasting, beyond, counted, sampling)
 
 
