@@ -25,7 +25,7 @@ from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.wave_far import OF_FAR
+from radwrap.imaging.tolerance.wave_far import OF_FAR, strata_for
 from radwrap.imaging.tolerance.wave_image import WaveError, look, seen_rms, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
@@ -45,6 +45,7 @@ _OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells
 _FINER: Final = 0.25  # of either, where it was too much
 _TRIES: Final = 3  # plans of waves
 _FAR_SHARE: Final = 0.3  # of the tolerance, what the law of far light may be off by
+_FAR_NOISE: Final = 0.1  # of the tolerance, what noise of far light may be, were all light noise
 _LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
@@ -117,11 +118,17 @@ class _Waves:
             return 1.0
         return min(1.0, _FAR_SHARE * self.options.gray_tolerance / (OF_FAR * self.seen_rms))
 
-    def plan(self, aim: float, of_cells: float) -> WavePlan:
-        """Rays for errors of a replicate by their number, and by the size of their cells [gray level]."""
+    def plan(self, aim: float, of_cells: float, *, again: bool = False) -> WavePlan:
+        """Rays for errors of a replicate by their number, and by the size of their cells [gray level].
+
+        What is bright beside the sensor may need more of them than what is seen on it lets expect: `again`.
+        """
         share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
         view, seed = self.work.view, self.options.seed
-        return plan_waves(view, self.wavelength, aim, seed, share=share, far=self.far, even_cell=self.even_cell)
+        plan = plan_waves(view, self.wavelength, aim, seed, share=share, far=self.far, even_cell=self.even_cell)
+        if self.even_cell is not None or not self.seen_rms or again:
+            return plan
+        return replace(plan, far_strata=strata_for(plan, self.seen_rms, _FAR_NOISE * self.options.gray_tolerance))
 
     def replicates(self, made: Made, plan: WavePlan) -> int:
         """As many as the image has, where each is kept; else so many that their noise is known."""
@@ -339,10 +346,10 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
     """
     tolerance, more_may_help = waves.options.gray_tolerance, waves.options.sampling is None
     left = _left_to_waves(tolerance, image.made)
-    aim, of_cells = _AIM * left, _OF_CELLS * left
+    aim, of_cells, again = _AIM * left, _OF_CELLS * left, False
     for tries_left in reversed(range(_TRIES if more_may_help else 1)):
         pace.begin()
-        plan = waves.plan(aim, of_cells)
+        plan = waves.plan(aim, of_cells, again=again)
         parts = waves.parts(plan, waves.replicates(image.made, plan))
         whole, off = image.added(plan, parts, waves, parts.rays)
         pace.end()
@@ -358,7 +365,7 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
             break
         least = _LESS if tries_left > 1 else _FINER  # the last one is to do
         of_noise, of_size = _finer(tolerance, image.made, off, least=least)
-        aim, of_cells = of_noise * aim, of_size * of_cells
+        aim, of_cells, again = of_noise * aim, of_size * of_cells, True
     return _Added(whole, off, replace(plan, sampling=parts.sampling), parts, aim)
 
 

@@ -15,28 +15,25 @@ from radwrap.imaging.methods.kernel import fast_length
 from radwrap.imaging.optics.guard_band import BLOCKS, FEWEST_BLOCK
 from radwrap.imaging.optics.view import View, known_or_traced
 from radwrap.imaging.optics.waves import rim
-from radwrap.imaging.tolerance.wave_plan import WavePlan, bare, known_to
+from radwrap.imaging.tolerance.wave_plan import FAR_STRATA, WavePlan, bare, known_to
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Aperture, Sensor
 
 Array = NDArray[np.float64]
 
-# The coarse image is so many times as wide as the guard band at least, and twice that, up to so often, where that takes
-# few blocks more. A second one, of wider blocks, is so many times as wide as the first; what goes farther still is
-# counted as an error.
-_LEAST_FAR: Final = 20.0
+# Each pixel sees rings: the first begins where the guard band ends, each next one where the last ended, and each ends
+# so many times as far off as it begins. Blocks widen as rings do. What comes from beyond the last one is an error.
+_WIDER: Final = 8.0
+_RINGS: Final = 3
 # Of far light, how far its law is off, rms: it leaves out the rings around a point. By scripts/waves_by_fft.py .12 with
 # guard bands of 6 and of 12 wave's lengths.
 OF_FAR: Final = 0.125
-_WIDER: Final = 8.0
-_DOUBLINGS: Final = 4
 _MOST_BLOCKS: Final = 1 << 20
 # A pixel gathers most of it from just beyond its guard band: up to so many guard bands beside the sensor a block has
 # n x n rays, and one farther away. What is small and bright on the sensor stands in the image itself, beside which far
 # light that is missed of it is little: fewer rays do there.
 _DENSE: Final = 3.0
 _LEAST_SHARE: Final = 0.01  # of the light, that goes so far: what is less needs no fewer points of wide lights
-_STRATA: Final = 3
 _ON_SENSOR: Final = 2
 # Steps along a straight edge's tail, and across it: it is as wide as the edge.
 _STEPS: Final = 4096
@@ -53,14 +50,16 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
         [W m^-2 sr^-1]
     """
     random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
-    coarse, wider = _rings(plan)
-    found = _from_ring(view, plan, coarse, random, progress)
-    beyond = _from_ring(view, plan, wider, random, progress)
-    middles = [(np.arange(size, dtype=np.float64) + 0.5) * coarse.block for size in found.shape[1:]]
-    for axis, places in enumerate(middles, start=1):
-        beyond = _interpolated(beyond, places / wider.block - 0.5, axis)
-    share = wider.share(plan) / coarse.share(plan)
-    return (1 - share) * found + share * beyond
+    rings = _rings(plan)
+    each = [_from_ring(view, plan, ring, random, progress) for ring in rings]
+    beyond = each[-1]
+    for found, ring, outer in reversed(list(zip(each, rings, rings[1:], strict=False))):
+        for axis, size in enumerate(found.shape[1:], start=1):
+            middles = (np.arange(size, dtype=np.float64) + 0.5) * ring.block
+            beyond = _interpolated(beyond, middles / outer.block - 0.5, axis)
+        share = outer.share(plan) / ring.share(plan)
+        beyond = (1 - share) * found + share * beyond
+    return beyond
 
 
 def _from_ring(
@@ -69,7 +68,7 @@ def _from_ring(
     """As `far_light`, of the light from a ring around each place."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     places, owners = [], []
-    for some, strata in _strata(coarse):
+    for some, strata in _strata(coarse, plan.far_strata):
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
@@ -86,7 +85,7 @@ def _from_ring(
 
 def far_view(view: View, plan: WavePlan) -> View:
     """By whom `far_light` traces its rays: they ask as many points of wide lights as they count for."""
-    coarse, _ = _rings(plan)
+    coarse = _rings(plan)[0]
     return _with_noise(view, coarse.share(plan), _kernel(plan, coarse))
 
 
@@ -109,22 +108,39 @@ def far_rays(plan: WavePlan) -> int:
     sensor, rays = plan.kernel.camera.sensor, 0.0
     known = 0.0 if plan.smooth is None else plan.smooth.share_of((0, sensor.rows - 1), (0, sensor.columns - 1))
     for ring in _rings(plan):
-        rays += sum(np.count_nonzero(some) * strata**2 for some, strata in _strata(ring))
-        rays -= known * sensor.pixels / ring.block**2 * min(_ON_SENSOR, round(ring.block)) ** 2
+        rays += sum(np.count_nonzero(some) * strata**2 for some, strata in _strata(ring, plan.far_strata))
+        rays -= known * sensor.pixels / ring.block**2 * min(_ON_SENSOR, plan.far_strata, round(ring.block)) ** 2
     return round(rays)
 
 
-def _strata(coarse: _Coarse) -> tuple[tuple[NDArray[np.bool_], int], ...]:
+def strata_for(plan: WavePlan, seen: float, allowed: float) -> int:
+    """Fewest rays along a side of a block by which noise of far light is small whatever lies in a block.
+
+    Parameters
+    ----------
+    plan : WavePlan
+        For the blocks and their weights.
+    seen : float
+        Rms of the light that an image sees [gray level]: light of blocks is not noisier than if all of it were noise.
+    allowed : float
+        Noise, rms [gray level].
+    """
+    coarse = _rings(plan)[0]
+    noise = seen * abs(coarse.share(plan)) * math.sqrt(float((_kernel(plan, coarse) ** 2).sum()))
+    return min(FAR_STRATA, max(1, math.ceil(noise / allowed)))
+
+
+def _strata(coarse: _Coarse, most: int) -> tuple[tuple[NDArray[np.bool_], int], ...]:
     """Blocks, shape (rows, columns), and how many rays along a side each of them gets."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     beside = min(margin, math.ceil(_DENSE * coarse.near / block))
     strata = np.ones((rows, columns), dtype=np.intp)
-    for around, number in ((beside, _STRATA), (0, _ON_SENSOR)):
+    for around, number in ((beside, FAR_STRATA), (0, _ON_SENSOR)):
         # No more rays than pixels are needed to tell light that is spread so far.
         strata[margin - around : rows - margin + around, margin - around : columns - margin + around] = min(
-            number, round(block)
+            number, most, round(block)
         )
-    return tuple((strata == number, number) for number in range(_STRATA, 0, -1))
+    return tuple((strata == number, number) for number in range(FAR_STRATA, 0, -1))
 
 
 def _correlated(values: Array, kernel: Array) -> Array:
@@ -154,11 +170,11 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
         [W m^-2 sr^-1]
     """
     sensor, share = plan.kernel.camera.sensor, plan.weights.share
-    coarse, wider = _rings(plan)
+    rings = _rings(plan)
     mean = around
     for axis, size in enumerate((sensor.rows, sensor.columns)):
-        mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / coarse.block - 0.5, axis)
-    beyond = min(plan.waves.tail(wider.far * plan.pitch), abs(share)) + OF_FAR * abs(share)
+        mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / rings[0].block - 0.5, axis)
+    beyond = min(plan.waves.tail(rings[-1].far * plan.pitch), abs(share)) + OF_FAR * abs(share)
     return share * mean, beyond * mean
 
 
@@ -216,19 +232,17 @@ class _Coarse:
         return math.copysign(min(plan.waves.tail(self.near * plan.pitch), abs(share)), share)
 
 
-def _rings(plan: WavePlan) -> tuple[_Coarse, _Coarse]:
-    """From the guard band on as wide as few blocks allow, and then by wide blocks; what lies farther is an error."""
+def _rings(plan: WavePlan) -> tuple[_Coarse, ...]:
+    """From the guard band outwards, by blocks that widen as the rings do."""
     sensor, near = plan.kernel.camera.sensor, min(plan.kernel.reach_px)
     block = max(near / BLOCKS, FEWEST_BLOCK)
-    while (found := _Coarse.of(sensor, near, _LEAST_FAR * near, block)).blocks > _MOST_BLOCKS:
+    while (found := _Coarse.of(sensor, near, _WIDER * near, block)).blocks > _MOST_BLOCKS:
         block *= 2
-    inside = _Coarse.of(sensor, near, _DENSE * near, block).blocks
-    for times in range(1, _DOUBLINGS + 1):
-        wider = _Coarse.of(sensor, near, _LEAST_FAR * near * 2**times, block)
-        if wider.blocks > min(_MOST_BLOCKS, _STRATA * inside):
-            break
-        found = wider
-    return found, _Coarse.of(sensor, found.far, _WIDER * found.far, found.far / BLOCKS)
+    rings = [found]
+    while len(rings) < _RINGS:
+        near = rings[-1].far
+        rings.append(_Coarse.of(sensor, near, _WIDER * near, near / BLOCKS))
+    return tuple(rings)
 
 
 def _tail_kernel(aperture: Aperture, rim_at: float, near: float, far: float) -> Array:

@@ -50,6 +50,7 @@ _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
 _MOST_AROUND: Final = 1 << 23
 _LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
+FAR_STRATA: Final = 3
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
 
 
@@ -183,6 +184,8 @@ class WavePlan:
         Blocks whose cells are not to be cut: nothing changes there but smoothly.
     sampling : EdgeSampling, optional
         Rays in cells that differ much, the same for all tiles; default as all need together.
+    far_strata : int
+        Rays along a side of a block of far light, at most; see `wave_far.strata_for`.
     """
 
     kernel: KernelPlan
@@ -192,6 +195,7 @@ class WavePlan:
     rays: int
     smooth: SmoothField | None = None
     sampling: EdgeSampling | None = None
+    far_strata: int = FAR_STRATA
 
     def at(self, wavelength: float) -> WavePlan:
         """The same rays, for light of another wavelength [m]."""
