@@ -11,7 +11,7 @@ import pytest
 
 from radwrap.errors import TracerError
 from radwrap.imaging.demand import Demand
-from radwrap.imaging.methods.pieces import CALL_LOG
+from radwrap.imaging.methods.pieces import CALL_LOG, packed_levels, unpacked_levels
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.planner import Outcome, render_to_tolerance
 from radwrap.imaging.tolerance.replicates import Replicates, Work, noise_beside
@@ -95,3 +95,14 @@ def test_noise_beside_what_rays_correct_is_that_of_the_rest() -> None:
     made = Replicates(np.zeros((2, 8, 8), dtype=np.float32), squares, rays=0, reused=0, block=(1, 1))
     assert noise_beside(made, errors, risky) == pytest.approx(4 / 2 + 9 / 4)
     assert noise_beside(made, errors, ~risky) == pytest.approx(4 / 2)
+
+
+@pytest.mark.parametrize("columns", [1, 4, 7])
+def test_levels_of_cells_come_back_from_their_pieces(columns: int) -> None:
+    levels = np.random.default_rng(1).integers(0, 16, (50, columns), dtype=np.int8)
+    packed = packed_levels(levels)
+    assert packed.dtype == np.float32 and packed.shape == (50, -(-columns // 4))
+    found = unpacked_levels(packed, columns)
+    assert found.dtype == np.int8 and np.array_equal(found, levels)
+    with pytest.raises(ValueError, match="0 to 15"):
+        packed_levels(np.full((1, columns), 16, dtype=np.int8))

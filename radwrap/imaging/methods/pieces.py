@@ -26,6 +26,9 @@ CALL_LOG: Final = "tracer_calls.log"
 _CHANNEL: Final = "radiance_cos4"
 _PREFIX: Final = "radwrap:"
 _TICK: Final = 0.2  # s
+# Levels of four cells make one number below 2^16, far from where float32 rounds.
+_BASE: Final = 16
+_DIGITS: Final = 4
 
 
 def write_piece(
@@ -79,6 +82,46 @@ class Pieces:
         if self._memory is None:
             return read_piece(self._folder / name, plan)
         return self._memory.get((name, plan))
+
+
+def packed_levels(levels: NDArray[np.int8]) -> NDArray[np.float32]:
+    """Small numbers of neighbours in a row as one number each: there are more cells than pixels.
+
+    Parameters
+    ----------
+    levels : ndarray of int8, shape (rows, columns)
+        From 0 to less than 16.
+
+    Returns
+    -------
+    ndarray, shape (rows, ceil(columns / 4))
+        Whole numbers, which a file of float32 holds exactly.
+
+    Raises
+    ------
+    ValueError
+        If one of them is not small.
+    """
+    if levels.min(initial=0) < 0 or levels.max(initial=0) >= _BASE:
+        raise ValueError(f"levels of cells must lie from 0 to {_BASE - 1}")
+    rows, columns = levels.shape
+    digits = np.zeros((rows, -(-columns // _DIGITS) * _DIGITS), dtype=np.int32)
+    digits[:, :columns] = levels
+    each = digits.reshape(rows, -1, _DIGITS)
+    packed = each[:, :, 0].copy()
+    for place in range(1, _DIGITS):
+        packed += each[:, :, place] * _BASE**place
+    return packed.astype(np.float32)
+
+
+def unpacked_levels(packed: NDArray[np.float32], columns: int) -> NDArray[np.int8]:
+    """What `packed_levels` took, of so many columns."""
+    left = packed.astype(np.int32)
+    levels = np.empty((*packed.shape, _DIGITS), dtype=np.int8)
+    for place in range(_DIGITS):
+        levels[:, :, place] = left % _BASE
+        left //= _BASE
+    return levels.reshape(len(packed), -1)[:, :columns]
 
 
 def log_call(folder: Path, name: object) -> None:

@@ -16,7 +16,14 @@ from radwrap.errors import EnvironmentFailure
 from radwrap.imaging.methods.central import Cells, central_rays
 from radwrap.imaging.methods.hybrid import HybridPlan, slope_in_gray
 from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, grid_squares, smooth_share
-from radwrap.imaging.methods.pieces import Pieces, log_call, remove_halves, run_jobs
+from radwrap.imaging.methods.pieces import (
+    Pieces,
+    log_call,
+    packed_levels,
+    remove_halves,
+    run_jobs,
+    unpacked_levels,
+)
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
@@ -313,7 +320,7 @@ class _CellsPiece:
     def __init__(self, work: Work, plan: KernelPlan, name: str, tile: int) -> None:
         self.tile = tile
         self._file = f"cells_{name[:12]}_{tile:05d}.exr"
-        self._work, self._plan, self._name = work, plan, f"{name}-cells-{tile}"
+        self._work, self._plan, self._name = work, plan, f"{name}-packed-cells-{tile}"
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
         return pieces_of(self._work).read(self._file, self._name)
@@ -328,8 +335,9 @@ class _CellsPiece:
             "samples": cells.samples,
             "predicted_rms": repr(cells.predicted_rms),
             "rays": cells.rays,
+            "columns": cells.levels.shape[1],
         }
-        pieces_of(work).write(self._file, cells.levels.astype(np.float32), self._name, told)
+        pieces_of(work).write(self._file, packed_levels(cells.levels), self._name, told)
 
     def cells(self) -> Cells:
         found = self.read()
@@ -339,7 +347,7 @@ class _CellsPiece:
         levels, told = found
         return Cells(
             first=(int(told["first_row"]), int(told["first_column"])),
-            levels=levels.astype(np.int8),
+            levels=unpacked_levels(levels, int(told["columns"])),
             samples=int(told["samples"]),
             predicted_rms=float(told["predicted_rms"]),
             rays=int(told["rays"]),
