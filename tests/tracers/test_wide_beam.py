@@ -20,6 +20,7 @@ from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
 from radwrap.tracers.compiled.wide_rows import beam_reach, cell_rows, wide_row
 from radwrap.tracers.compiled.wide_shape import point_on, unhidden
 from radwrap.tracers.compiled.wide_shine import sent
+from radwrap.tracers.compiled.wide_ways import WAYS
 from tests.tracers.test_wide_light import FRAME, PLACE, SURE, UP, area_points, sheets
 
 # Of what would be received with the whole light before the point: asked of closed forms and quadrature.
@@ -138,10 +139,11 @@ def received(source: WideSource, edge: float, p: tuple[float, float, float]) -> 
     light, tables = row_of(source)
     tree, none, stack = sheets([Pose((edge + 1.0, 0.0, -0.3))]), sheets(()), np.empty(DEPTH, dtype=np.int64)
     cells, known, chosen = cell_rows([source], FRAME), memory(), np.empty(CELLS * CELLS, dtype=np.int64)
-    matte, room = rows(Cover, 1)[0], np.empty(CUTS)
+    matte, room, ways = rows(Cover, 1)[0], np.empty(CUTS), np.empty(WAYS, dtype=np.int64)
     keys = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(KEYS)]
     rest = matte, 1.0, *tree, *none, tables, p, UP, UP, -1
-    return np.array([sent(light, 0, cells, PLACE, 0, False, *rest, key, known, chosen, room, stack) for key in keys])
+    last = known, chosen, room, ways, stack
+    return np.array([sent(light, 0, cells, PLACE, 0, False, *rest, key, *last) for key in keys])
 
 
 @pytest.mark.parametrize("beam", ["narrow", "gaussian", "table"])

@@ -28,6 +28,7 @@ from radwrap.tracers.compiled.wide_points import key_of_ray, spread_point
 from radwrap.tracers.compiled.wide_rows import cell_rows, shines_whole, wide_row
 from radwrap.tracers.compiled.wide_shape import may_light, meets, point_on, unhidden
 from radwrap.tracers.compiled.wide_shine import sent
+from radwrap.tracers.compiled.wide_ways import WAYS
 from radwrap.tracers.noise import FALL
 from radwrap.tracers.text_frame import TextFrame
 
@@ -107,9 +108,9 @@ def received(
     light, none, stack = wide_row(source, FRAME)[0], sheets(()), np.empty(DEPTH, dtype=np.int64)
     cells, known, chosen = cell_rows([source], FRAME), memory(), np.empty(CELLS * CELLS, dtype=np.int64)
     rest = (PLACE, halvings, False, rows(Cover, 1)[0], 1.0, *tree, *none, np.zeros(1), p, n, n, -1)
-    room = np.empty(CUTS)
+    room, ways = np.empty(CUTS), np.empty(WAYS, dtype=np.int64)
     keys = [key_of_ray(float(k), 0.0, 0.0, 0.0, 0.0, 1.0, 0) for k in range(KEYS)]
-    return np.array([sent(light, 0, cells, *rest, key, known, chosen, room, stack) for key in keys])
+    return np.array([sent(light, 0, cells, *rest, key, known, chosen, room, ways, stack) for key in keys])
 
 
 @pytest.mark.parametrize("x", [0.0, *(pytest.param(x, marks=pytest.mark.long) for x in (-0.1, 0.04))])

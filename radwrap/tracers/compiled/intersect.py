@@ -248,9 +248,31 @@ def hidden(
     """Whether any shape but one stands on a ray before `farthest`."""
     if len(shapes) <= (but >= 0):
         return False
-    ix, iy, iz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
-    height, node = 1, 0
     stack[0] = 0
+    return hider(shapes, nodes, tables, ox, oy, oz, dx, dy, dz, farthest, but, 1, stack) >= 0
+
+
+@compiled
+def hider(
+    shapes: Shapes,
+    nodes: Nodes,
+    tables: Floats,
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    farthest: float,
+    but: int,
+    height: int,
+    stack: Whole,
+) -> int:
+    """Number of a shape, but one, that stands on a ray before `farthest`, or -1.
+
+    Those are asked that nodes hold of which so many numbers are on the stack.
+    """
+    ix, iy, iz = inverse_of(dx), inverse_of(dy), inverse_of(dz)
     while height:
         height -= 1
         node = stack[height]
@@ -261,11 +283,11 @@ def hidden(
             first = nodes[node].first
             for i in range(first, first + count):
                 if i != but and crossing(shapes[i], tables, ox, oy, oz, dx, dy, dz) < farthest:
-                    return True
+                    return i
         else:
             stack[height], stack[height + 1] = nodes[node].second, node + 1
             height += 2
-    return False
+    return -1
 
 
 def padded(low: Floats, high: Floats) -> tuple[Floats, Floats]:

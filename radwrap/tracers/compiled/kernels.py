@@ -119,6 +119,7 @@ def trace(
     known: Whole,
     chosen: Whole,
     room: Floats,
+    ways: Whole,
     stack: Whole,
 ) -> None:
     """Radiance along rays, from each group of emitters.
@@ -157,8 +158,8 @@ def trace(
         The rays, those that meet near places near each other. The radiance does not hang on it.
     given, points, around, asked, between, heights
         Room to work in; see `neighbours.darken`.
-    known, chosen, room, stack
-        Room to work in; see `wide_cells`, `wide_beam` and `tree.DEPTH`.
+    known, chosen, room, ways, stack
+        Room to work in; see `wide_cells`, `wide_beam`, `wide_ways` and `tree.DEPTH`.
     """
     count = 0
     for k in range(len(order)):
@@ -255,6 +256,7 @@ def trace(
                     known,
                     chosen,
                     room,
+                    ways,
                     stack,
                 )
 

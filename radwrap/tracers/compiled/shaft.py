@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from radwrap.tracers.compiled.arrays import Cluster, Nodes, Whole, Wide
+from radwrap.tracers.compiled.arrays import Cluster, Node, Nodes, Whole, Wide
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.intersect import inverse_of
 
@@ -48,16 +48,22 @@ def next_leaf(nodes: Nodes, shaft: Shaft, height: int, stack: Whole) -> tuple[in
         height -= 1
         node = stack[height]
         box = nodes[node]
-        near, far = _overlap(box.x0, box.x1, shaft[0], 0.0, 1.0)
-        near, far = _overlap(box.y0, box.y1, shaft[1], near, far)
-        near, far = _overlap(box.z0, box.z1, shaft[2], near, far)
-        if near > far:
+        if not may_pass(shaft, box):
             continue
         if box.count:
             return node, height
         stack[height], stack[height + 1] = box.second, node + 1
         height += 2
     return -1, 0
+
+
+@compiled
+def may_pass(shaft: Shaft, box: Node) -> bool:
+    """Whether a shaft may pass a node's box; only "no" is sure."""
+    near, far = _overlap(box.x0, box.x1, shaft[0], 0.0, 1.0)
+    near, far = _overlap(box.y0, box.y1, shaft[1], near, far)
+    near, far = _overlap(box.z0, box.z1, shaft[2], near, far)
+    return near <= far
 
 
 @compiled

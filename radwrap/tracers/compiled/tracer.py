@@ -21,6 +21,7 @@ from radwrap.tracers.compiled.tree import DEPTH
 from radwrap.tracers.compiled.wide_beam import CUTS
 from radwrap.tracers.compiled.wide_cells import CELLS, memory
 from radwrap.tracers.compiled.wide_shine import POINTS_OF_A_LIGHT
+from radwrap.tracers.compiled.wide_ways import WAYS
 
 # Rays and sources that are computed before an interruption is heeded: some tenths of a second.
 _WORK_AT_ONCE: Final = 1 << 20
@@ -190,6 +191,7 @@ class CompiledTracer:
                 known_places,
                 np.empty(CELLS * CELLS, dtype=np.int64),
                 np.empty(CUTS),
+                np.empty(WAYS, dtype=np.int64),
                 stack,
             )
         self.memories.append(known_places)

@@ -15,8 +15,9 @@ from radwrap.tracers.compiled.covers import reflected
 from radwrap.tracers.compiled.wide_cells import CELLS, within_cells
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_points import mixed, spread_point
-from radwrap.tracers.compiled.wide_shadow import is_hidden
+from radwrap.tracers.compiled.wide_shadow import NOTHING_HIDES, hidden_by, hidden_by_lights
 from radwrap.tracers.compiled.wide_shape import point_on
+from radwrap.tracers.compiled.wide_ways import find_ways
 
 # Points of a light that are asked for whether they are hidden, where hardly any is, and elsewhere: powers of two.
 _FEWEST: Final = 16
@@ -48,6 +49,7 @@ def left_over(
     is_hiding: bool,
     halvings: int,
     key: int,
+    ways: Whole,
     stack: Whole,
 ) -> float:
     """Radiance to the eye [W m^-2 sr^-1] of what of a light is not hidden, an estimate.
@@ -80,11 +82,12 @@ def left_over(
         See `CompiledScene`.
     key : int
         Which points of the light are asked; see `wide_points.key_of_ray`.
-    stack : ndarray of int, shape (DEPTH,)
+    ways, stack : ndarray of int, shape (WAYS,), (DEPTH,)
         Room to work in.
     """
     if count == 0:
         return whole
+    way_count = find_ways(light, shapes, nodes, p, itself, ways, stack)
     points = halved(MOST_POINTS if is_hiding else _FEWEST, halvings)
     if not is_all:
         total, seen = _asked(
@@ -105,6 +108,8 @@ def left_over(
             count,
             points,
             mixed(key, _FIRST),
+            ways,
+            way_count,
             stack,
         )
         left = whole - (total - seen)
@@ -127,6 +132,8 @@ def left_over(
             count,
             points // 2,
             mixed(key, _FIRST),
+            ways,
+            way_count,
             stack,
         )
         all_b, seen_b = _asked(
@@ -147,6 +154,8 @@ def left_over(
             count,
             points // 2,
             mixed(key, _SECOND),
+            ways,
+            way_count,
             stack,
         )
         share_a = seen_a / all_a if all_a > 0 else 0.0
@@ -181,17 +190,22 @@ def _asked(
     count: int,
     points: int,
     key: int,
+    ways: Whole,
+    way_count: int,
     stack: Whole,
 ) -> tuple[float, float]:
     """Radiance by some points of cells: by all of them, and by those that are not hidden [W m^-2 sr^-1]."""
-    total, seen = 0.0, 0.0
+    total, seen, last = 0.0, 0.0, NOTHING_HIDES
     for i in range(points):
         a, b = spread_point(i, key)
         a, b = within_cells(a, b, chosen, count)
         value, d, away = sent_by(light, cover, tables, diffuse, with_lobe, p, n, v, a, b)
         if value > 0:
             total += value
-            if not is_hidden(light, shapes, nodes, discs, disc_nodes, tables, p, d, away, itself, stack):
+            found = hidden_by(shapes, nodes, tables, p, d, away, itself, ways, way_count, last, stack)
+            if found >= 0:
+                last = found
+            elif not hidden_by_lights(light, discs, disc_nodes, tables, p, d, away, stack):
                 seen += value
     scale = light.radiance * light.area * count / (CELLS * CELLS * points)
     return scale * total, scale * seen

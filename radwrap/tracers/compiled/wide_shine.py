@@ -50,6 +50,7 @@ def sent(
     known: Whole,
     chosen: Whole,
     room: Floats,
+    ways: Whole,
     stack: Whole,
 ) -> float:
     """Radiance to the eye [W m^-2 sr^-1].
@@ -74,7 +75,7 @@ def sent(
         Shape that does not count, or -1.
     key : int
         See `wide_points.key_of_ray`.
-    chosen, stack : ndarray of int, shape (cells,), (DEPTH,)
+    chosen, ways, stack : ndarray of int, shape (cells,), (WAYS,), (DEPTH,)
         Room to work in.
     room : ndarray, shape (CUTS,)
         The same.
@@ -120,6 +121,7 @@ def sent(
             is_hiding,
             halvings,
             key,
+            ways,
             stack,
         )
     if cover.kind != NOTHING and not with_lobe:
