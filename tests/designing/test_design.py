@@ -288,6 +288,7 @@ def aim_of(problem: Any) -> LightAim:
     return LightAim(levels, problem.objectives[0], problem.constraints, problem.study.responses)
 
 
+@pytest.mark.long
 def test_the_uniformity_of_a_basis_is_the_optimum_to_a_millionth(lit: tuple[Any, Any, Path]) -> None:
     """The same light, made even by SLSQP on the ratio itself, from the images of the basis and nothing of ours."""
     problem, basis, _ = lit

@@ -205,6 +205,7 @@ def test_a_search_that_is_off_settles_where_unbiased_rays_lead(bench: Scene, bas
     assert not near.reaches(begin + np.array([20.0, 0, 0, 0, 0, 0]))
 
 
+@pytest.mark.long
 def test_slopes_with_grain_neither_shorten_the_way_nor_swing(bench: Scene, basis: Basis) -> None:
     """A way of .5 px by slopes nearly half of which is grain: as far as by slopes without any, in a few steps."""
     keys = free_scene(bench, ["pose:edge"])

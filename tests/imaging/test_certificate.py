@@ -193,7 +193,9 @@ def test_noise_is_bounded_by_as_many_degrees_of_freedom_as_it_has() -> None:
     assert wrong.upper < 0.8 * found.upper
 
 
-@pytest.mark.parametrize("spread", [(1.0,), (1.0, 1.0), (1.0, 0.3), (1.0, 0.7, 0.4)])
+@pytest.mark.parametrize(
+    "spread", [(1.0,), (1.0, 1.0), *(pytest.param(s, marks=pytest.mark.long) for s in ((1.0, 0.3), (1.0, 0.7, 0.4)))]
+)
 def test_noise_of_few_pixels_is_below_its_bound(spread: tuple[float, ...]) -> None:
     """Below three degrees of freedom the bound is that of the distribution itself, and not forty times the error."""
     random, held, wide = np.random.default_rng(5), 0, []

@@ -388,6 +388,7 @@ def test_dots_that_run_together_are_parted_and_say_so() -> None:
     assert not any(dot.split for dot in apart.dots)
 
 
+@pytest.mark.long
 def test_without_the_model_neighbours_would_draw_outer_dots_outwards() -> None:
     """Outer dots lose light to the cells of inner ones: parted by windows alone their shift is tenths of a pixel."""
     picture = drawn(blur=6.0)

@@ -520,6 +520,7 @@ def test_errors_of_the_command_name_file_or_option(tmp_path: Path) -> None:
         run(str(colour))
 
 
+@pytest.mark.long
 def test_the_reduced_fit_knows_all_that_least_squares_ask_for() -> None:
     """J^T J, J^T f and f^T f of the banded decomposition, against the whole Jacobian of an edge of 300 px."""
     image = gray(share(0.3, 100.0, 2.0, shape=(300, 120))).values

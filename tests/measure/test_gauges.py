@@ -106,8 +106,8 @@ def honest(z: Array) -> bool:
     return bool(0.7 < z.std() < 1.35 and abs(z.mean()) < 0.5)
 
 
-# A sharp rim and a wide one; what lies between them is long.
-@pytest.mark.parametrize("blur", [0.6, *(pytest.param(blur, marks=pytest.mark.long) for blur in (1.5, 3.5))])
+@pytest.mark.long
+@pytest.mark.parametrize("blur", [0.6, 1.5, 3.5])
 def test_standard_errors_of_a_circle_are_those_of_repeated_frames(blur: float) -> None:
     def measured(image: GrayImage) -> tuple[float, float]:
         found = measure_circle(image, Caliper((30, 31), 16, 6))
@@ -427,7 +427,7 @@ def test_what_is_alike_on_both_sides_of_a_rim_is_warned_of(kind: str, warned: bo
 
 
 @pytest.mark.parametrize(("aside", "warned"), [(0.0, False), (1.2, True)])
-@pytest.mark.parametrize("around", [False, True])
+@pytest.mark.parametrize("around", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_blur_with_a_side_is_warned_of(around: bool, aside: float, warned: bool) -> None:
     """Three tenths of the light in a larger disc, about the same middle or to one side of it, as coma has it."""
     dice = np.random.default_rng(11)
@@ -953,7 +953,8 @@ def test_a_width_in_a_plane_is_a_length() -> None:
 ASKEW = np.array([[1, 0, 40], [0, 1, 30], [0, 0, 1]]) @ np.array([[1e4, 0, 0], [0, 0.8e4, 0], [20, 45, 1]])
 
 
-@pytest.mark.parametrize("straight", [pytest.param(True, marks=pytest.mark.long), False])
+@pytest.mark.long
+@pytest.mark.parametrize("straight", [True, False])
 def test_a_narrow_width_in_a_plane_is_that_of_sides_that_are_parallel_there(straight: bool) -> None:
     """0.7 mm under a blur of 1.4 px: in the image 7.6 px at one end and 6.3 at the other; the map by either way."""
     plane = Plane.of_homography(ASKEW)

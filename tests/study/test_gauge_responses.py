@@ -176,7 +176,8 @@ def test_a_width_caliper_stays_within_the_image(size: str, fits: float) -> None:
             assert 0 <= u <= 63 and 0 <= v <= 47
 
 
-@pytest.mark.parametrize(("bright", "known"), [pytest.param(220.0, True, marks=pytest.mark.long), (90.0, False)])
+@pytest.mark.long
+@pytest.mark.parametrize(("bright", "known"), [(220.0, True), (90.0, False)])
 def test_a_width_in_doubt_costs_its_response(tmp_path: Path, bright: float, known: bool) -> None:
     """Of 7.4 px under a blur of 3.3 px, a millimetre each: of little light it has no value, and the answer says why."""
     square = {"rows": 60, "columns": 80, "pixel_width": "25 um", "pixel_height": "25 um"}
