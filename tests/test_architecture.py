@@ -89,6 +89,7 @@ ROOMS = {
             "relight",
             "forecast",
             "output",
+            "wave_shares",
             "with_waves",
             "forecasting",
             "other_camera",

@@ -23,12 +23,24 @@ from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_o
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
+from radwrap.imaging.tolerance.cells_in_common import own_change, smaller_cell
 from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import OF_FAR, strata_for
 from radwrap.imaging.tolerance.wave_image import WaveError, look, seen_rms, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
+from radwrap.imaging.wave_shares import (
+    FINER,
+    LEAST_LEFT,
+    LESS,
+    OF_CELLS,
+    beside_waves,
+    finer,
+    leaves,
+    left_to_image,
+    left_to_waves,
+)
 from radwrap.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -40,13 +52,9 @@ _DECIDING_SHARE: Final = 0.05
 _FEWEST: Final = 1 << 13
 _AIM: Final = 0.7  # of what the image leaves of the tolerance, each of both replicates: their mean has half of it
 _USUAL: Final = 0.7  # of the tolerance, about what an image takes of it
-_LEAST_LEFT: Final = 0.3  # of the tolerance; where the image leaves less, it is made finer
-_OF_CELLS: Final = 0.5  # of what the image leaves, what the size of their cells may change
-_FINER: Final = 0.25  # of either, where it was too much
 _TRIES: Final = 3  # plans of waves
 _FAR_SHARE: Final = 0.3  # of the tolerance, what the law of far light may be off by
 _FAR_NOISE: Final = 0.1  # of the tolerance, what noise of far light may be, were all light noise
-_LESS: Final = 0.8  # of the tolerance is left to the rays' own image, where both together break it
 _TWO: Final = 2  # replicates, where nothing is made of them but their mean
 # Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
 # which errors hang together, and where a small image has few blocks more replicates are made.
@@ -118,14 +126,15 @@ class _Waves:
             return 1.0
         return min(1.0, _FAR_SHARE * self.options.gray_tolerance / (OF_FAR * self.seen_rms))
 
-    def plan(self, aim: float, of_cells: float, *, again: bool = False) -> WavePlan:
+    def plan(self, aim: float, of_cells: float, most_cell: float = math.inf, *, again: bool = False) -> WavePlan:
         """Rays for errors of a replicate by their number, and by the size of their cells [gray level].
 
-        What is bright beside the sensor may need more of them than what is seen on it lets expect: `again`.
+        The latter is a guess; where it was wrong, these are no larger than `most_cell` [px]. What is bright beside the
+        sensor may need more rays for far light than what is seen on it lets expect: `again`.
         """
         share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
-        view, seed = self.work.view, self.options.seed
-        plan = plan_waves(view, self.wavelength, aim, seed, share=share, far=self.far, even_cell=self.even_cell)
+        planned = partial(plan_waves, self.work.view, self.wavelength, aim, self.options.seed)
+        plan = planned(share=share, most_cell=most_cell, far=self.far, even_cell=self.even_cell)
         if self.even_cell is not None or not self.seen_rms or again:
             return plan
         return replace(plan, far_strata=strata_for(plan, self.seen_rms, _FAR_NOISE * self.options.gray_tolerance))
@@ -193,19 +202,6 @@ class _Added:
     aim: float
 
 
-def _finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tuple[float, float]:
-    """Shares of both aims, of noise and of cells, by which either is expected to be its part of what the rest leaves.
-
-    Where one of them is not 1, it is at most `least`: what is made goes by steps.
-    """
-    rest = max(tolerance**2 - off.tails**2 - made.certificate.rms_gray_upper95**2 - off.lasting, 0.0)
-    parts = (off.noise.upper, (1 - _OF_CELLS**2) * rest), (off.cells - off.lasting, _OF_CELLS**2 * rest)
-    noise, cells = (
-        1.0 if found <= most else min(least, max(_FINER, _LESS * math.sqrt(most / found))) for found, most in parts
-    )
-    return noise, cells
-
-
 def refuse_waves(scene: Scene, options: RenderOptions) -> None:
     """See that what is asked for beside diffraction goes with it.
 
@@ -254,7 +250,7 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates:
     waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, seen)
     left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
     try:
-        plan = waves.plan(_AIM * left, _OF_CELLS * left)
+        plan = waves.plan(_AIM * left, OF_CELLS * left)
     except TooDeep:
         return None
     each_is_kept = options.basis or options.sampling is not None
@@ -308,9 +304,9 @@ def with_waves(
         return WithWaves(made, found, None)
     more_may_help = options.sampling is None
     image = _Image(made, found.rays, again)
-    little = _leaves(options.gray_tolerance, made) < _LEAST_LEFT * options.gray_tolerance
+    little = leaves(options.gray_tolerance, made) < LEAST_LEFT * options.gray_tolerance
     if more_may_help and _is_met(made) and little and not pace.is_spent():
-        image.make_finer(_LESS * options.gray_tolerance)  # whatever waves take then, it would have to be made anew
+        image.make_finer(LESS * options.gray_tolerance)  # whatever waves take then, it would have to be made anew
     smooth = None if image.made.outcome is None else image.made.outcome.smooth
     work = replace(work, view=replace(work.view, smooth=smooth))
     known = _with_smooth(lights(), smooth)
@@ -345,27 +341,29 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
         If the scene is too deep for them.
     """
     tolerance, more_may_help = waves.options.gray_tolerance, waves.options.sampling is None
-    left = _left_to_waves(tolerance, image.made)
-    aim, of_cells, again = _AIM * left, _OF_CELLS * left, False
+    left = left_to_waves(tolerance, image.made)
+    aim, of_cells, most_cell, again = _AIM * left, OF_CELLS * left, math.inf, False
     for tries_left in reversed(range(_TRIES if more_may_help else 1)):
         pace.begin()
-        plan = waves.plan(aim, of_cells, again=again)
+        plan = waves.plan(aim, of_cells, most_cell, again=again)
         parts = waves.parts(plan, waves.replicates(image.made, plan))
         whole, off = image.added(plan, parts, waves, parts.rays)
         pace.end()
         if _is_met(whole) or not _is_met(image.made) or not more_may_help or pace.is_spent():
             break
-        if (left_to_all := _square_left(tolerance, waves, off)) <= (_FINER * tolerance) ** 2:
+        if (left_to_all := _square_left(tolerance, waves, off)) <= (FINER * tolerance) ** 2:
             break  # no rays make smaller what takes the rest
-        if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off, _LEAST_LEFT)):
-            image.make_finer(min(_LESS * tolerance, _left_to_image(left_to_all, off)))
+        if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off, LEAST_LEFT)):
+            image.make_finer(min(LESS * tolerance, left_to_image(left_to_all, off)))
             parts, rays = waves.kept_or_anew(parts, plan, image.made)
             whole, off = image.added(plan, parts, waves, rays)
         if _is_met(whole) or not _more_rays_may_do(image.made, waves, off):
             break
-        least = _LESS if tries_left > 1 else _FINER  # the last one is to do
-        of_noise, of_size = _finer(tolerance, image.made, off, least=least)
+        least = LESS if tries_left > 1 else FINER  # the last one is to do
+        of_noise, of_size = finer(tolerance, image.made, off, least=least)
         aim, of_cells, again = of_noise * aim, of_size * of_cells, True
+        if of_size < 1 and image.made.outcome is not None:
+            most_cell = smaller_cell(image.made.outcome, plan)
     return _Added(whole, off, replace(plan, sampling=parts.sampling), parts, aim)
 
 
@@ -418,19 +416,6 @@ def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
     return tuple(light.wavelength for light in lights) if len(lights) > 1 else None
 
 
-def _leaves(tolerance: float, made: Made) -> float:
-    """What an image leaves of a tolerance for its waves [gray level]."""
-    return math.sqrt(max(tolerance**2 - made.certificate.rms_gray_upper95**2, 0.0))
-
-
-def _left_to_waves(tolerance: float, made: Made) -> float:
-    """What waves may be off by [gray level]; of an image that misses the tolerance, as where a budget ended it, more.
-
-    Waves that are surer than their image by far take rays for nothing.
-    """
-    return max(_leaves(tolerance, made), _LEAST_LEFT * max(tolerance, made.certificate.rms_gray_upper95))
-
-
 def _too_deep() -> InputError:
     return InputError(
         "knows no waves of so deep a scene", where="camera.diffraction", remedy='set it "off", or bring targets nearer'
@@ -453,7 +438,7 @@ def _is_met(made: Made) -> bool:
 
 def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 0.0) -> bool:
     """Whether the image and what its waves are off by anyway would leave a share of what is asked to rays and cells."""
-    known, demand = made.certificate, waves.options.demand
+    known, demand = beside_waves(made), waves.options.demand
     parts = known.rms_gray_upper95, math.sqrt(off.lasting), off.tails, share * waves.options.gray_tolerance
     lasting = math.hypot(*parts) + waves.by_bands
     return demand is not None and demand.is_met(lasting, known.p99_gray_upper95)
@@ -469,28 +454,28 @@ def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:
     return max(tolerance - waves.by_bands, 0.0) ** 2 - off.tails**2 - off.lasting
 
 
-def _left_to_image(square: float, off: WaveError) -> float:
-    """What the image may be off by where both have so much [gray level]; of waves that take more than half, half."""
-    return math.sqrt(square - min(off.noise.upper + off.cells - off.lasting, square / 2))
-
-
-def _error(plan: WavePlan, parts: WaveParts, made: Array, work: Work) -> WaveError:
+def _error(
+    plan: WavePlan, parts: WaveParts, made: Array, work: Work, own: tuple[Array, Array] | None = None
+) -> WaveError:
     view = work.view
-    return wave_error(parts, made, visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block)
+    return wave_error(parts, made, visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block, own)
 
 
 def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
     """The image with what waves add and the certificate of both, and how far it may be off by them."""
     radiance = np.maximum(made.radiance + parts.change.mean(axis=0), 0.0)
-    found = _error(plan, parts, radiance, waves.work)
-    bands, quantile = waves.by_bands, found.quantile + waves.by_bands
-    certificate = made.certificate.with_waves(found.noise, found.cells, found.tails, quantile, bands=bands)
+    outcome, options, own = made.outcome, waves.options, None
+    # Images that are compared, and a basis in other light, have what their cells change by itself.
+    if outcome is not None and options.sampling is None and not options.basis:
+        own = own_change(outcome, plan, [light.wavelength for light in waves.lights])
+    found = _error(plan, parts, radiance, waves.work, own)
+    known, bands = (found.noise, found.cells, found.tails, found.quantile + waves.by_bands), waves.by_bands
+    certificate = made.certificate.with_waves(*known, bands=bands, parts=outcome.parts if outcome else ())
     used = replace(made.used, rays=made.used.rays + rays)
-    outcome, demand = made.outcome, waves.options.demand if made.outcome is not None else None
-    if outcome is not None and demand is not None:
+    if outcome is not None and (demand := options.demand) is not None:
         met = demand.is_met(certificate.rms_gray_upper95, certificate.p99_gray_upper95)
         record = replace(outcome.record, met=met)
         outcome = replace(outcome, radiance=radiance, certificate=certificate, met=met, record=record)
-        if waves.options.sampling is not None:
+        if options.sampling is not None:
             outcome = replace(outcome, replicates=outcome.replicates.with_waves(parts.change, parts.cells))
     return replace(made, radiance=radiance, certificate=certificate, used=used, outcome=outcome), found

@@ -15,7 +15,7 @@ import pytest
 import radwrap
 from radwrap.imaging.demand import Budget, Demand
 from radwrap.imaging.methods.central import central_rays
-from radwrap.imaging.methods.kernel import decide_tile, gathered_tile, plan_kernel
+from radwrap.imaging.methods.kernel import KernelPlan, decide_tile, gathered_tile, plan_kernel
 from radwrap.imaging.methods.rays import plan_rays, sampled_radiance
 from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.view import RAYS_AT_ONCE, View
@@ -242,6 +242,18 @@ def test_pairs_find_nothing_on_a_plane_and_a_step_in_depth_where_there_is_one() 
         found.append(root(errors.mean_square(sample, (2,)).mean))
     assert found[0] < 1e-3
     assert found[1] > 0.5
+
+
+def test_what_cells_change_has_a_sign_and_the_squares_of_the_certificate(tmp_path: Path) -> None:
+    """Cells of twice the size spread an edge: the bright disc loses what its surroundings gain."""
+    seen = view(ROUND, (1.0, disc))
+    found = search(seen, tmp_path, Demand(2.0, method="kernel"))
+    change = found.replicates.change
+    assert change is not None and isinstance(found.ray_plan, KernelPlan)
+    squares = (gray(seen, change) ** 2).mean()  # each replicate's squares hold some noise
+    assert 0.5 * found.replicates.grid_square < squares <= 1.01 * found.replicates.grid_square
+    largest = np.abs(change) > 0.3 * np.abs(change).max()
+    assert (change[largest] > 0).any() and (change[largest] < 0).any()
 
 
 def test_a_planted_error_of_one_percent_is_seen(disc_truth: tuple[Array, Array]) -> None:

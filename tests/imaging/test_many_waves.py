@@ -37,6 +37,7 @@ CHART: Final = Path(__file__).parents[2] / "rad_scenes" / "colour_chart" / "scen
 BENCH: Final = Path(__file__).parents[2] / "rad_scenes" / "bench_board" / "scene.toml"
 COARSE: Final = {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
 FLOAT32: Final = 1e-5  # of the largest value: sums of a few values that are rounded so
+ROUNDING: Final = 1e-10  # of sums of a few thousand values
 Array = NDArray[np.float64]
 NAMES: Final = ("left", "front", "rear", "low")
 DARK: Final = "0 W/m^2/sr"
@@ -105,6 +106,23 @@ def test_waves_are_linear_in_one_pass_and_source_by_source(tmp_path: Path) -> No
     assert np.abs(in_one_pass.sum(axis=0) - whole).max() < FLOAT32 * largest
     # "rear" is hidden behind "front".
     assert [bool(np.abs(one).max() > FLOAT32 * largest) for one in single] == [True, True, False, True]
+
+
+def test_light_from_far_away_adds_up_over_the_sources_of_a_basis(tmp_path: Path) -> None:
+    """By levels of sources it is that of a scene with these levels, by the same rays, and so is how far it is off."""
+    pytest.importorskip("numba")
+    options, factors = radwrap.RenderOptions(tracer="compiled"), (0.3, 1.5, 0.0, 0.7)
+    with Programs() as programs:
+        traced = LaidOutScene(lamps(), options, programs, tmp_path / "basis")
+        plan = plan_waves(traced.view(), 550e-9, 1.0, seed=3)
+        (together,) = traced.views_of(NAMES)
+        each = [far_change(plan, light) for light in far_light(together.view, plan, 0, int)]
+        lit = LaidOutScene(lamps(factors), options, programs, tmp_path / "levels").view()
+        (whole,) = [far_change(plan, light) for light in far_light(lit, plan, 0, int)]
+    for number, known in enumerate(whole):  # what it adds, and how far that may be off
+        found = sum(factor * one[number] for factor, one in zip(factors, each, strict=True))
+        assert np.abs(known).min() > 0
+        assert found == pytest.approx(known, rel=ROUNDING)
 
 
 @pytest.mark.parametrize("tracer", ["compiled", pytest.param("radiance", marks=pytest.mark.long)])

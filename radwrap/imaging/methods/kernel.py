@@ -119,9 +119,12 @@ class Gathered:
 
     def grid_squares(self, exposure_of_radiance: float, sensor: Sensor) -> NDArray[np.float64]:
         """Of each pixel, or of the nearest that tells, the square of what the cells' size changes [gray level^2]."""
-        if not self.change.size:
+        return self.spread(grid_squares(self.values[self.some], self.change, exposure_of_radiance, sensor))
+
+    def spread(self, told: NDArray[np.float64]) -> NDArray[np.float64]:
+        """For each pixel what the nearest one tells of those that do; 0 where none does."""
+        if not told.size:
             return np.zeros(self.values.shape)
-        told = grid_squares(self.values[self.some], self.change, exposure_of_radiance, sensor)
         near = [
             np.abs(np.arange(size)[:, np.newaxis] - at.ravel()).argmin(axis=1)
             for size, at in zip(self.values.shape, self.some, strict=True)

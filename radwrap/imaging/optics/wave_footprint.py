@@ -109,11 +109,23 @@ def _profile_transfer(profile: Profile, cycles: Array) -> Complex:
     return found
 
 
+def is_laid_out(waves: Waves, camera: Camera, magnification: float, cell: float) -> bool:
+    """Whether a footprint is that of rays, over so few cells that `ray_layout` has it."""
+    return not waves.wavelength and min(reach_px(camera, magnification)) < _POINTS_REACH * max(cell, 1.0)
+
+
+def ray_layout(
+    camera: Camera, magnification: float, cell: float, shape: tuple[int, int], phase: tuple[int, ...] = (0, 0)
+) -> Array:
+    """Weights of cells around a pixel, of rays through an even opening, on a grid of a shape that goes round."""
+    return laid_out(footprint(camera.without_lens, magnification, cell, phase), shape)
+
+
 def ray_weights(
     camera: Camera, magnification: float, cell: float, shape: tuple[int, int], phase: tuple[int, ...] = (0, 0)
 ) -> Complex:
     """As `wave_weights`, of the footprint of rays through an even opening."""
-    return np.fft.rfft2(laid_out(footprint(camera.without_lens, magnification, cell, phase), shape))
+    return np.fft.rfft2(ray_layout(camera, magnification, cell, shape, phase))
 
 
 def passed(waves: Waves, magnification: float) -> Transfer:
@@ -133,7 +145,7 @@ def passed_weights(
     transfer: Transfer | None = None,
 ) -> Complex:
     """As `wave_weights`, or of a wavelength of 0 as `ray_weights`; a blur of many cells may be off by 1e-4."""
-    if not waves.wavelength and min(reach_px(camera, magnification)) < _POINTS_REACH * max(cell, 1.0):
+    if is_laid_out(waves, camera, magnification, cell):
         return ray_weights(camera, magnification, cell, shape, phase)
     least = _LEAST[waves.aperture.shape]
     return wave_weights(waves, camera.sensor, magnification, cell, shape, least=least, phase=phase, transfer=transfer)

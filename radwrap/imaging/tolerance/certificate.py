@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -88,7 +89,14 @@ class Certificate:
         return replace(self, rms_gray_upper95=bound, p99_gray_upper95=quantile, bands_gray=gray)
 
     def with_waves(
-        self, noise: Bounded, cells: float, tails: float, quantile: float, *, bands: float = 0.0
+        self,
+        noise: Bounded,
+        cells: float,
+        tails: float,
+        quantile: float,
+        *,
+        bands: float = 0.0,
+        parts: Sequence[Bounded] = (),
     ) -> Certificate:
         """The certificate of an image with what waves add.
 
@@ -97,26 +105,33 @@ class Certificate:
         noise : Bounded
             Mean square of what the number of their rays adds [gray level^2].
         cells : float
-            Mean square of what their cells add [gray level^2].
+            Mean square of what their cells add [gray level^2]; below 0 where they take away of what the image's add.
         tails : float
             Rms of what light may add that comes from farther than was looked at [gray level].
         quantile : float
             Of all, that 99.5 % of the pixels stay below [gray level].
         bands : float
             Rms of what one wavelength in place of all may add [gray level].
+        parts : sequence of Bounded
+            Mean squares of which the image's own is the sum, where they are told.
 
         Notes
         -----
         Squares add: noise has no part in common with anything; far light changes slowly over an image and has one sign,
         and the cells' size changes either side of an edge the other way. Only what wavelengths change may look as the
-        rest does.
+        rest does. What is not known of each mean square, its bound less itself, is a matter of chance of rays of its
+        own: of independent ones the deviations add as squares too (key graybill_wang), as all of them are as far off
+        at a time less often than each.
         """
+        known = self.rms_gray**2 + noise.mean + cells
+        each = (*(parts or (Bounded(self.rms_gray**2, self.rms_gray_upper95**2),)), noise)
+        deviation = math.hypot(*(max(part.upper, 0.0) - max(part.mean, 0.0) for part in each))
         return replace(
             self,
-            rms_gray=math.sqrt(self.rms_gray**2 + noise.mean + cells),
-            rms_gray_upper95=math.sqrt(self.rms_gray_upper95**2 + noise.upper + cells + tails**2) + bands,
+            rms_gray=root(known),
+            rms_gray_upper95=root(max(known, 0.0) + tails**2 + deviation) + bands,
             p99_gray_upper95=None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + quantile,
-            diffraction_gray=math.sqrt(noise.upper + cells + tails**2) + bands,
+            diffraction_gray=math.sqrt(noise.upper + max(cells, 0.0) + tails**2) + bands,
         )
 
 

@@ -76,17 +76,21 @@ def trace_plan(work: Work, plan: Plan, number: int, most: float = math.inf) -> R
     run_jobs([partial(make, piece) for piece in due], work.programs, work.view.workers)
     images = kernel.images.copy()
     own_rays, squares = np.zeros(images.shape[1:], dtype=bool), kernel.grid_squares.copy()
+    change = None if kernel.change is None else kernel.change.copy()
     for piece in pieces:
         r0, r1, c0, c1 = plan.tiles[piece.tile]
         place = images[piece.replicate, r0:r1, c0:c1]
         place[...] = corrected(place.astype(np.float64), found[piece].astype(np.float64), piece.signed)
         own_rays[r0:r1, c0:c1] = piece.signed != 0
-        squares[r0:r1, c0:c1][piece.signed > 0] = 0.0  # rays in the kernel's place have none of its cells
+        for of_cells in (squares, change):  # rays in the kernel's place have none of its cells
+            if of_cells is not None:
+                of_cells[r0:r1, c0:c1][piece.signed > 0] = 0.0
     reused = kernel.reused + len(pieces) - len(due)
     return replace(
         kernel,
         images=images,
         grid_squares=squares,
+        change=change,
         rays=whole,
         reused=reused,
         own_rays=own_rays,

@@ -46,11 +46,7 @@ from radwrap.imaging.tolerance.plans import (
 )
 from radwrap.imaging.tolerance.replicates import Plan, Replicates, TooManyRays, Work, discretisation, noise_beside
 from radwrap.imaging.tolerance.search_record import Attempt, GivenUp, SearchRecord
-from radwrap.imaging.tolerance.survey import (
-    AIM_SHARE,
-    survey,
-    with_smooth_blocks,
-)
+from radwrap.imaging.tolerance.survey import AIM_SHARE, survey, with_smooth_blocks
 from radwrap.kept import of_kept
 from radwrap.manifest import sha256_of_value
 from radwrap.random_streams import Rendering
@@ -108,6 +104,8 @@ class Outcome:
         Pixels of the model's certificate.
     smooth : SmoothField or None
         Blocks that were looked up.
+    parts : tuple of Bounded
+        Mean squares of what the certificate holds: of the model's error, and of noise [gray level^2].
     """
 
     radiance: NDArray[np.float64]
@@ -120,6 +118,7 @@ class Outcome:
     ray_plan: Plan
     sample: PixelSample | None
     smooth: SmoothField | None
+    parts: tuple[Bounded, ...]
 
 
 def render_to_tolerance(
@@ -306,7 +305,7 @@ class Search:
         rays = self._count(replicates.parts, replicates.rays)
         method, kernel = method_of(plan), kernel_of(plan)
         radiance = replicates.mean
-        certificate, sample = self._certify(plan, replicates, radiance)
+        certificate, sample, parts = self._certify(plan, replicates, radiance)
         self.attempts.append(
             Attempt(
                 method=method,
@@ -339,11 +338,12 @@ class Search:
             ray_plan=plan,
             sample=sample,
             smooth=self.view.smooth,
+            parts=parts,
         )
 
     def _certify(
         self, plan: Plan, replicates: Replicates, radiance: NDArray[np.float64]
-    ) -> tuple[Certificate, PixelSample | None]:
+    ) -> tuple[Certificate, PixelSample | None, tuple[Bounded, ...]]:
         view, seed, kernel = self.view, self.work.seed, kernel_of(plan)
         noise, errors = discretisation(view, replicates)
         if kernel is not None and kernel.grid.smooth and view.smooth is not None:
@@ -352,7 +352,7 @@ class Search:
             self.plans.kernel = plan, len(replicates.images), noise.mean
         if kernel is None or view.camera.aperture.is_infinitesimal:
             quantile = noise_quantile(errors, noise) if self.demand.max_error is not None else None
-            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None
+            return certificate_of(NOTHING, noise, quantile, pixels=0, rays=0), None, (noise,)
         gray = GrayWhereAsked(radiance, view.exposure_of_radiance, view.camera.sensor)
         risky = steps(view.camera, self.found.magnification, gray, RISK_SHARE * self.demand.tolerance)
         if isinstance(plan, KernelPlan):
@@ -388,7 +388,8 @@ class Search:
         quantile = None
         if self.demand.max_error is not None:
             quantile = noise_quantile(errors, noise) + model_quantile(found, sample)
-        return certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays), sample
+        certificate = certificate_of(model, noise, quantile, pixels=len(sample.pixels), rays=found.rays)
+        return certificate, sample, (model, noise)
 
     def _pixels_and_pairs(self, effort: int) -> tuple[int, tuple[int, int]]:
         pixels, *pairs = EFFORTS[effort]
@@ -441,8 +442,7 @@ class Search:
         finest = grid > _GRID_SHARE * wanted and not coarse
         # A smaller aim changes nothing, or the cells are as small as they may be and rays do not cost more than it.
         dearer = self.plans.forecast("rays", self.plans.first_aim("rays")) > self.plans.forecast("kernel", aim / 2)
-        stuck = idle or (finest and not dearer)
-        if self.demand.method is None and (stuck or aim < wanted * AIM_SHARE / 4):
+        if self.demand.method is None and (idle or (finest and not dearer) or aim < wanted * AIM_SHARE / 4):
             aim = self._affordable("rays", self.plans.first_aim("rays"))
             return "rays", aim, "the kernel's certificate did not hold"
         return "kernel", aim / 2, why

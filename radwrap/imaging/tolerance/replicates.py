@@ -61,7 +61,7 @@ class Replicates:
     block : tuple of int
         Rows and columns over which errors hang together [px].
     change : ndarray, shape (rows, columns), optional
-        What the size of the kernel's cells may add to each pixel of the mean [W m^-2 sr^-1]; of an even plan.
+        What the size of the kernel's cells may add to each pixel of the mean [W m^-2 sr^-1]; of a kernel.
     own_rays : ndarray of bool, shape (rows, columns), optional
         Pixels whose values have no part of the kernel's model, where a hybrid made the image.
     uncorrected : ndarray, shape (replicates, rows, columns), optional
@@ -179,7 +179,7 @@ def trace_replicates(work: Work, plan: PurePlan, number: int, most: float = math
     remove_halves(work.folder)
     sensor = work.view.camera.sensor
     images = np.empty((number, sensor.rows, sensor.columns), dtype=np.float32)
-    below = np.zeros(images.shape[1:])
+    squares, change = np.zeros((2, *images.shape[1:]))
     told: dict[_TilePiece, Mapping[str, Any]] = {}
     grids: dict[_TilePiece, NDArray[np.float32]] = {}
 
@@ -217,14 +217,18 @@ def trace_replicates(work: Work, plan: PurePlan, number: int, most: float = math
         r0, r1, c0, c1 = plan.tiles[piece.tile]
         rays += int(told[piece]["rays"])
         if isinstance(plan, KernelPlan):  # in the order of the pieces, whoever was finished first
-            below[r0:r1, c0:c1] += grids[piece].astype(np.float64) / number
-    squares = below.astype(np.float32)
-    made = Replicates(images, squares, rays, len(pieces) - len(due), block_of(plan), parts={name: rays})
-    if not isinstance(plan, KernelPlan) or not plan.grid.even:
+            each = grids[piece].astype(np.float64) / number
+            change[r0:r1, c0:c1] += each[: r1 - r0]
+            squares[r0:r1, c0:c1] += each[r1 - r0 :] if len(each) > r1 - r0 else 0.0
+    reused = len(pieces) - len(due)
+    made = Replicates(images, squares.astype(np.float32), rays, reused, block_of(plan), parts={name: rays})
+    if not isinstance(plan, KernelPlan):
         return made
+    if not plan.grid.even:
+        return replace(made, change=change)
     # What replicates have in common, without the noise of each.
-    squares = grid_squares(made.mean, below, work.view.exposure_of_radiance, sensor).astype(np.float32)
-    return replace(made, grid_squares=squares, change=below, smooth_share=smooth_share(plan))
+    squares = grid_squares(made.mean, change, work.view.exposure_of_radiance, sensor)
+    return replace(made, grid_squares=squares.astype(np.float32), change=change, smooth_share=smooth_share(plan))
 
 
 def decide_tiles(work: Work, plan: PurePlan) -> None:
@@ -276,13 +280,13 @@ def replicates_needed(plan: Plan) -> int:
 class _TilePiece:
     """A tile of a replicate; of a kernel it holds, below its values, what the cells' size does to each.
 
-    That is the change, of an even plan, and else its square in gray levels.
+    That is the change, and unless the plan is even, below it, its square in gray levels.
     """
 
     def __init__(self, work: Work, plan: PurePlan, name: str, replicate: int, tile: int) -> None:
         self.replicate, self.tile = replicate, tile
         self._file = f"piece_{name[:12]}_{replicate:03d}_{tile:05d}.exr"
-        self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}-grid"
+        self._work, self._plan, self._name = work, plan, f"{name}-{replicate}-{tile}-change"
         self._whole = name
 
     def read(self) -> tuple[NDArray[np.float32], dict[str, str]] | None:
@@ -306,12 +310,13 @@ class _TilePiece:
         work = self._work
         cells = _CellsPiece(work, plan, self._whole, self.tile).cells()
         gathered = gathered_tile(work.view, plan, self.tile, cells, seed=seed, progress=work.progress.add)
-        grid = gathered.change
+        grid = [gathered.change]
         if not plan.grid.even:
-            grid = gathered.grid_squares(plan.grid.exposure_of_radiance, plan.camera.sensor)
+            squares = gathered.grid_squares(plan.grid.exposure_of_radiance, plan.camera.sensor)
+            grid = [gathered.spread(gathered.change), squares]
         # The rays that decided the cells are counted once.
         rays = gathered.central.rays + (cells.rays if self.replicate == 0 else 0)
-        return np.concatenate([gathered.values, grid]), {"rays": rays}
+        return np.concatenate([gathered.values, *grid]), {"rays": rays}
 
 
 class _CellsPiece:

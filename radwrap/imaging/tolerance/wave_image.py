@@ -35,7 +35,8 @@ class WaveError:
     noise : Bounded
         Mean square of what the number of rays adds [gray level^2].
     cells : float
-        Mean square of what `WaveParts.cells` adds [gray level^2].
+        Mean square of what `WaveParts.cells` adds [gray level^2]; below 0 where it takes away more of what the size of
+        the image's own cells adds.
     lasting : float
         The part of it that neither finer cells nor more rays make smaller.
     tails : float
@@ -51,7 +52,9 @@ class WaveError:
     quantile: float
 
 
-def wave_error(parts: WaveParts, made: Array, gray: Gray, block: int) -> WaveError:
+def wave_error(
+    parts: WaveParts, made: Array, gray: Gray, block: int, own: tuple[Array, Array] | None = None
+) -> WaveError:
     """How far an image may be off by what waves added to it.
 
     Parameters
@@ -64,6 +67,15 @@ def wave_error(parts: WaveParts, made: Array, gray: Gray, block: int) -> WaveErr
         See `visible_gray`.
     block : int
         Rows and columns over which errors hang together [px].
+    own : tuple of ndarray, shape (rows, columns), optional
+        What the size of the image's own cells adds to it, as its own certificate has it and as it counts beside waves
+        [W m^-2 sr^-1], where that is known.
+
+    Notes
+    -----
+    What waves add is their footprint less that of rays, which the image has. Of cells of the same size both footprints
+    of rays are off alike, and the sum by what the waves' own is, which knows no edges as sharp: so what both sizes
+    change adds pixel by pixel. How light is laid out where things hide, and glass is mixed, has nothing of that.
     """
     replicates, scale = len(parts.change), 1.0
     noise, size = NOTHING, np.zeros(made.shape)
@@ -77,8 +89,20 @@ def wave_error(parts: WaveParts, made: Array, gray: Gray, block: int) -> WaveErr
         noise = mean_square_of_differences(samples, (block, block))
         scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
     lasting = lasting_wave_error(parts.cells, parts.beyond, made, gray, noise=scale * size)
+    if own is not None and not parts.lasting.any():
+        lasting = replace(lasting, cells=_beside_own(own, parts.cells, made, gray))
     common = _common_square(parts.lasting, made, gray)
-    return replace(lasting, noise=noise, lasting=min(lasting.cells, common))
+    return replace(lasting, noise=noise, lasting=min(max(lasting.cells, 0.0), common))
+
+
+def _beside_own(own: tuple[Array, Array], cells: Array, made: Array, gray: Gray) -> float:
+    """What cells of waves add to the mean square that the image's own change by themselves; it may be less."""
+    square = 0.0
+    for strip in strips_of(*made.shape):
+        exact = gray(made[strip])
+        alone, both = (gray(made[strip] + each[strip]) - exact for each in (own[0], own[1] + cells))
+        square += float((both**2).sum()) - float((alone**2).sum())
+    return square / made.size
 
 
 def _common_square(lasting: Array, made: Array, gray: Gray) -> float:
@@ -131,7 +155,10 @@ def look(view: View, *, whole: bool = False) -> Array:
 
 
 def seen_rms(radiance: Array, view: View) -> float:
-    """Rms of gray levels that the light of an image adds, by what a hundredth of it does."""
+    """Rms of gray levels that the mean light of an image would add to each pixel, by what a hundredth of it does.
+
+    Light from far away is about as bright as that, whatever a pixel sees itself; it shows more where that is dark.
+    """
     gray = visible_gray(view.exposure_of_radiance, view.camera.sensor)
-    more = gray(radiance * (1 + _LITTLE)) - gray(radiance)
+    more = gray(radiance + _LITTLE * radiance.mean()) - gray(radiance)
     return math.sqrt(float((more**2).mean())) / _LITTLE

@@ -17,11 +17,20 @@ from radwrap.imaging.methods.central import EdgeSampling
 from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
 from radwrap.imaging.optics.footprint import Footprint, laid_out
 from radwrap.imaging.optics.guard_band import least_guard
-from radwrap.imaging.optics.lens_field import LensField, Place, Signs, glass_at, glass_reach, images_of, lens_field
+from radwrap.imaging.optics.lens_field import (
+    Glass,
+    LensField,
+    Place,
+    Signs,
+    glass_at,
+    glass_reach,
+    images_of,
+    lens_field,
+)
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.transfer import Transfer
 from radwrap.imaging.optics.view import View, look_at_depths
-from radwrap.imaging.optics.wave_footprint import passed, passed_weights
+from radwrap.imaging.optics.wave_footprint import is_laid_out, passed, passed_weights, ray_layout
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.tolerance.plans import POINTS_SHARE
 from radwrap.imaging.tolerance.points_noise import points_noise
@@ -134,13 +143,8 @@ class WaveWeights:
             1, min(_AROUND if glass is None else _AROUND_GLASS, math.isqrt(_MOST_AROUND // (4 * rows * columns)))
         )
         shape = fast_length(2 * wide * rows + 1), fast_length(2 * wide * columns + 1)
-        spectrum = np.zeros((shape[0], shape[1] // 2 + 1), dtype=np.complex128)
-        for (factor, light), transfer in zip(self.terms, passes or [None] * len(self.terms), strict=True):
-            waves = replace(light, glass=glass) if light.wavelength else light
-            spectrum += factor * passed_weights(
-                waves, self.kernel.camera, layer, cell, shape, phase=phase, transfer=transfer
-            )
-        change = np.fft.fftshift(np.fft.irfft2(spectrum, shape))
+        summed = self._summed(layer, cell, shape, phase, glass=glass, passes=passes or [None] * len(self.terms))
+        change = np.fft.fftshift(summed)
         r, c = (size // 2 for size in shape)
         change = change[r - rows : r + rows + 1, c - columns : c + columns + 1]
         # Cut at the same radius whatever the cells: a cell that it crosses counts in part.
@@ -151,6 +155,29 @@ class WaveWeights:
         within = (1 - np.hypot(down[:, np.newaxis], across[np.newaxis])) * min(reach) / cell + 0.5
         cut: Array = change * np.clip(within, 0.0, 1.0)
         return cut
+
+    def _summed(
+        self,
+        layer: float,
+        cell: float,
+        shape: tuple[int, int],
+        phase: tuple[int, int],
+        *,
+        glass: Glass | None,
+        passes: Sequence[Transfer | None],
+    ) -> Array:
+        """The sum of all terms on a grid of a shape that goes round; rays of few cells need no transform."""
+        camera = self.kernel.camera
+        space, spectra = np.zeros(shape), list[Complex]()
+        for (factor, light), transfer in zip(self.terms, passes, strict=True):
+            if is_laid_out(light, camera, layer, cell):
+                space += factor * ray_layout(camera, layer, cell, shape, phase)
+                continue
+            waves = replace(light, glass=glass) if light.wavelength else light
+            spectra.append(factor * passed_weights(waves, camera, layer, cell, shape, phase=phase, transfer=transfer))
+        if spectra:
+            space += np.fft.irfft2(sum(spectra), shape)
+        return space
 
 
 def _gathered_by(cell: float) -> Iterator[tuple[float, tuple[int, int]]]:
@@ -225,6 +252,7 @@ def plan_waves(
     seed: int,
     *,
     share: float | None = None,
+    most_cell: float = math.inf,
     far: float = 1.0,
     even_cell: float | None = None,
 ) -> WavePlan:
@@ -243,6 +271,8 @@ def plan_waves(
     share : float, optional
         Of what waves add, what the cells' size may change; a guess that the image decides on. By default cells are no
         wider than where rays go needs them, and resolve what waves do.
+    most_cell : float
+        Size of the smallest cells, at most [px]; by measured errors, where the guess was wrong.
     far : float
         Of the light, what waves may send beyond the guard band; the band has limits of its own.
     even_cell : float, optional
@@ -261,7 +291,7 @@ def plan_waves(
     plan = plan_kernel(bare(view), met, aim, even_cell=even_cell)
     if even_cell is None:
         coarsest = plan.grid.cell if share is None else max(plan.grid.cell, _COARSEST)
-        wanted = min(coarsest, blur * math.sqrt((share or _OFF) / _OFF))
+        wanted = min(coarsest, most_cell, blur * math.sqrt((share or _OFF) / _OFF))
         finer = math.ceil(math.log2(plan.grid.cell / max(wanted, FINEST_CELL)) - _ABOUT)
         plan = plan_kernel(bare(view), met, aim, finer)
         # Where light is even rays go on in wide steps, as waves spread what they add.
