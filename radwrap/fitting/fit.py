@@ -54,6 +54,8 @@ _WORK: Final = ".fit"
 _NEAR: Final = "near"
 _ROUGHEST: Final = 4.0  # times as large cells, from afar
 _ROUGHER: Final = 2.0  # the same near the end
+_MORE: Final = REPLICATES / FEW  # times less is grain, by squares
+_FINER: Final = 6.0  # the same by cells that are not so large: 3 to 10 on six scenes
 _FEWER: Final = 4  # times fewer rays at the first of these places
 _PLACES: Final = 4  # at most, where it is looked for the end by unbiased rays
 _ARRIVED: Final = 0.1  # expected deviations: by so little a last step is off
@@ -165,7 +167,9 @@ def _prediction(
     rendered: Sequence[bool],
     trace: Callable[[Scene], Basis | SourceImages],
     steps: Sequence[float] = (),
+    *,
     rough: Prediction | None = None,
+    looks: Sequence[tuple[float, Prediction]] = (),
 ) -> Prediction:
     """Of all states; those that differ in levels, exposure or the sensor's electronics only are seen in one light."""
     known: list[Places] = []
@@ -176,7 +180,7 @@ def _prediction(
             places = Places(state.free, rendered, trace)
             known.append(places)
         shots.append((state.free, places))
-    return Prediction(shots, steps, rough)
+    return Prediction(shots, steps, rough, looks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,7 +257,7 @@ def ended(
             for places, nearby in zip(prediction.places, bases, strict=True)
         ]
         bases, last = [*traced], share
-        before = near = Settled(prediction, keys, place, traced, before)
+        before = near = Settled(prediction, keys, place, traced, before, is_last=share == 1)
         solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
         place = solved.values
@@ -300,12 +304,13 @@ def _fitted(
         taken = begin.rays
         light = Light(states[0].free.at(begin.values.tolist()), options, near, is_even=True)
     captures = [state.captured for state in states]
-    search = rough = None
+    search, looks = None, []
     if any(rendered):  # the way is sought by few rays: what these are off by is settled at its end
-        seek, look = (partial(light.roughly, times=_ROUGHER, replicates=count) for count in (FEW, REPLICATES))
-        search = _prediction(states, rendered, seek, begin.steps)
-        rough = _prediction(states, rendered, look, rough=search)
-    prediction = _prediction(states, rendered, light.at if any(rendered) else light.unbiased, rough=rough)
+        rough = partial(light.roughly, times=_ROUGHER)
+        search = _prediction(states, rendered, partial(rough, replicates=FEW), begin.steps)
+        more = ((_MORE, partial(rough, replicates=REPLICATES)), (_FINER, partial(light.at, replicates=FEW)))
+        looks = [(less, _prediction(states, rendered, trace, rough=search)) for less, trace in more]
+    prediction = _prediction(states, rendered, light.at if search else light.unbiased, rough=search, looks=looks)
     off = _ROUGHER * light.tolerance
     sought = solve(free.keys, search or prediction, captures, noise, robust=robust, begin=begin.values, tolerance=off)
     found = ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)

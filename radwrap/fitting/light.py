@@ -86,9 +86,11 @@ class Light:
             plan = replace(known, rays=max(FEWEST, int((known.rays or 1) / times**2)), replicates=replicates)
         return self._basis(scene, replace(self._options, sampling=plan))
 
-    def at(self, scene: Scene) -> Basis | SourceImages:
-        """The basis of another scene, by the same rays."""
-        return self._basis(scene, self._options)
+    def at(self, scene: Scene, replicates: int = REPLICATES) -> Basis | SourceImages:
+        """The basis of another scene, by the same rays, or some replicates of them."""
+        known = self._options.sampling
+        plan = None if known is None else replace(known, replicates=replicates)
+        return self._basis(scene, replace(self._options, sampling=plan))
 
     def unbiased(self, scene: Scene, share: int = 1, near: Basis | SourceImages | None = None) -> Basis | SourceImages:
         """The basis of a scene by other rays, over pixel and opening: no cell and no model of a kernel is in it.
@@ -110,7 +112,7 @@ class Light:
         options = replace(self._options, method="rays", sampling=fewer)
         options = replace(options, seed=(options.seed + _SEED_STEP) % 2**63)
         # Its rays are compared with those of no other plan: where nothing but rays is asked for, they are aimed.
-        aimed = AimedRays(AIM_SHARE * demand.tolerance, plan.replicates)
+        aimed = AimedRays(AIM_SHARE * demand.tolerance, plan.replicates if share == 1 else REPLICATES)
         rms = aimed.rms * share**ORDER
         numbers = near.numbers if isinstance(near, SourceImages) else None
         if isinstance(near, SourceImages) and numbers is not None:

@@ -38,6 +38,7 @@ _NEAR_ENOUGH: Final = 0.25  # of a step: so far from where slopes were seen they
 # Of what few rays show, by its square: so much may be grain. With .06, where other keys were not determined, answers
 # scattered by two to three times what their replicates said.
 _FINE_ENOUGH: Final = 1e-2
+_TOO_MUCH: Final = 2.0  # times what is fine enough: a slope that was to be is traced again by all rays
 _FIT: Final = 2.0  # a step that is right within this factor
 
 
@@ -126,7 +127,10 @@ class Prediction:
     steps : sequence of float, optional
         How far each key may be moved for its slope, over its scale, where that is known from another prediction.
     rough : Prediction, optional
-        The same by fewer rays, which has the slopes; that may have one too.
+        The same by the fewest rays, which has the slopes.
+    looks : sequence of (float, Prediction)
+        The same by fewer rays, but more than `rough` has, the fewest first: each with how many times less of what its
+        slopes show is grain than with `rough`, by squares.
     """
 
     def __init__(
@@ -134,8 +138,10 @@ class Prediction:
         shots: Sequence[tuple[FreeScene, Places]],
         steps: Sequence[float] = (),
         rough: Prediction | None = None,
+        looks: Sequence[tuple[float, Prediction]] = (),
     ) -> None:
         self._rough = rough
+        self._looks = tuple(looks)
         self._shots = tuple(shots)
         self._keys: tuple[FreeKey, ...] = shots[0][0].keys
         self._rendered = shots[0][1].rendered
@@ -147,7 +153,7 @@ class Prediction:
     @property
     def _search(self) -> Prediction:
         """By the fewest rays, which has the slopes."""
-        return self if self._rough is None else self._rough._search
+        return self if self._rough is None else self._rough
 
     @property
     def has_renders(self) -> bool:
@@ -167,8 +173,8 @@ class Prediction:
     @property
     def renders(self) -> int:
         """Bases so far."""
-        rough = 0 if self._rough is None else self._rough.renders
-        return rough + sum(places.count for places in self.places)
+        others = [look for _, look in self._looks] + ([] if self._rough is None else [self._rough])
+        return sum(places.count for places in self.places) + sum(one.renders for one in others)
 
     def at(self, values: Sequence[float] | Array) -> Predicted:
         """Gray levels for some values; InputError where a scene does not take them."""
@@ -254,45 +260,68 @@ class Prediction:
         (low, high), span = ends_of(self._keys[number], values, number, step)
         return np.asarray((self.at(high).unclipped - self.at(low).unclipped) / span)
 
-    def steepness(self, values: Array) -> Steepness:
+    def steepness(self, values: Array, *, is_last: bool = True) -> Steepness:
         """Change of the radiant exposure with each key that needs renders, by each replicate of the bases.
 
         Keys that nearly cancel each other are moved together, as far as it takes to see what is left: the difference of
         two large slopes would be off by their grain, and by what a finite step leaves out of each.
+
+        Parameters
+        ----------
+        values : ndarray, shape (keys,)
+            Where.
+        is_last : bool
+            Else it is by what the search has seen of single keys, without a ray more: it leads to where slopes count.
         """
         slopes, search = self.slopes(values), self._search
         self._steps = search._steps
         near = search._near(values, 0.0)
         scales = np.array([key.scale for key in self._keys])
         reach = np.array(self._steps[0.0]) * scales
+        numbers = np.flatnonzero(self._rendered)
+        # Of each key by itself, as the search has traced it.
+        known = _alike([search._seen_along(near, one) for one in np.diag(reach)[numbers]])
+        per_scale = (scales / reach)[numbers, None, None, None]
+        if not is_last:
+            return Steepness(numbers, known * per_scale, reach[numbers], near)
         if (np.abs(values - near) > _NEAR_ENOUGH * reach)[self._rendered].any():
             near = np.array(values, dtype=np.float64)
-        numbers = np.flatnonzero(self._rendered)
         moved = slopes[numbers] * (reach / scales)[numbers, np.newaxis, np.newaxis]
         others = np.flatnonzero(~self._rendered)
         beside = np.linalg.qr(slopes[others].reshape(len(others), slopes[0].size).T)[0]
-        ways = np.linalg.svd(_off(moved.reshape(len(numbers), -1), beside), full_matrices=False)[0].T
+        ways = self._ways(near, _off(moved.reshape(len(numbers), -1), beside), reach)
         target = _CHANGE * float(np.ptp(self._smooth(search.at(near).unclipped, _SMOOTH)))
-        steps = np.zeros((len(numbers), len(self._keys)))
-        steps[:, numbers] = ways * reach[numbers]
-        if min(self._room(near, step) for step in steps) < _LEAST_ROOM:  # a key at its bound: each key by itself
-            ways = np.eye(len(numbers))
-            steps[:, numbers] = ways * reach[numbers]
         seen, gone = [], np.ones(len(numbers))
-        for way, step in zip(ways, steps, strict=True):
+        for way in ways:
+            step = np.zeros(len(self._keys))
+            step[numbers] = way * reach[numbers]
             change = float(np.abs(self._smooth(np.tensordot(way, moved, axes=1), _SMOOTH)).max())
             times = min(target / max(change, target / _FARTHEST), max(self._room(near, step), 1.0))
-            image = None if self._rough is None else self._rough._seen_along(near, step, times)
-            if image is None or _grain_of(image, beside) > _FINE_ENOUGH:
-                image = self._seen_along(near, step, times)
-            seen.append(image)
+            grain = _grain_of(np.tensordot(way, known, axes=1), beside) / times**2
+            seen.append(self._seen_finely(near, step, times, beside, grain))
             gone = np.maximum(gone, times * np.abs(way))
-        count = min(len(one) for one in seen)
-        images = np.stack([_joined(one, count) for one in seen])
-        changes = np.tensordot(ways, images, axes=(0, 0)) * (scales / reach)[numbers, None, None, None]
+        changes = np.tensordot(ways, _alike(seen), axes=(0, 0)) * per_scale
         return Steepness(numbers, changes, gone * reach[numbers], near)
 
-    def _seen_along(self, values: Array, step: Array, times: float) -> Array:
+    def _ways(self, near: Array, moved: Array, reach: Array) -> Array:
+        """Which keys are moved together, over their reach, shape (n, n); at a bound each by itself."""
+        ways = np.linalg.svd(moved, full_matrices=False)[0].T
+        steps = np.zeros((len(ways), len(self._keys)))
+        steps[:, self._rendered] = ways * reach[self._rendered]
+        at_bound = min(self._room(near, step) for step in steps) < _LEAST_ROOM
+        return np.eye(len(ways)) if at_bound else np.asarray(ways)
+
+    def _seen_finely(self, values: Array, step: Array, times: float, beside: Array, grain: float) -> Array:
+        """Change with a step, by so few rays as its grain lets them be, of which the search has seen so much."""
+        for less, look in self._looks:
+            if grain < less * _FINE_ENOUGH:
+                image = look._seen_along(values, step, times)
+                if _grain_of(image, beside) < _TOO_MUCH * _FINE_ENOUGH:
+                    return image
+                break
+        return self._seen_along(values, step, times)
+
+    def _seen_along(self, values: Array, step: Array, times: float = 1.0) -> Array:
         """Change of the radiant exposure with a step, shape (replicates, captures * rows, columns)."""
         above, below, span = self._both(values, step, times)
         count = min(len(above), len(below))
@@ -351,6 +380,12 @@ def ends_of(key: FreeKey, values: Array, number: int, step: float) -> tuple[tupl
 def _joined(images: Array, count: int) -> Array:
     """Means of neighbouring replicates, as many as asked for; replicates are the first axis."""
     return np.stack([part.mean(axis=0) for part in np.array_split(images, count)])
+
+
+def _alike(images: Sequence[Array]) -> Array:
+    """Some images, each of as many replicates as the one with the fewest has."""
+    count = min(len(one) for one in images)
+    return np.stack([_joined(one, count) for one in images])
 
 
 def _off(rows: Array, beside: Array) -> Array:

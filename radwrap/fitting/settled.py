@@ -112,6 +112,8 @@ class Settled:
         By independent rays of the scene there, in each of the prediction's places.
     before : Settled, optional
         Near another place, whose slopes are taken if they still hold.
+    is_last : bool
+        Whether it may be the last one: else slopes are those that the search has seen.
     """
 
     def __init__(
@@ -121,6 +123,8 @@ class Settled:
         place: Array,
         bases: Sequence[Basis | SourceImages],
         before: Settled | None = None,
+        *,
+        is_last: bool = True,
     ) -> None:
         self._place = np.array(place, dtype=np.float64)
         self._scales = np.array([key.scale for key in keys])
@@ -130,9 +134,10 @@ class Settled:
             for places, basis in zip(prediction.places, bases, strict=True)
         }
         self._shots: list[tuple[FreeScene, Lit]] = [(free, lit[id(places)]) for free, places in prediction.shots]
-        self.has_renders = prediction.has_renders
-        kept = before.steep if before is not None and before.reaches(self._place, _NEARER) else None
-        steep = kept or (prediction.steepness(self._place) if self.has_renders else None)
+        self.has_renders, self.is_last = prediction.has_renders, is_last
+        holds = before is not None and before.is_last == is_last and before.reaches(self._place, _NEARER)
+        kept = before.steep if before is not None and holds else None
+        steep = kept or (prediction.steepness(self._place, is_last=is_last) if self.has_renders else None)
         self.steep: Steepness | None = steep
         self._seen = self._place if kept is None or before is None else before.seen
         rows, columns = self._shots[0][1].images.shape[1:]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -177,6 +178,13 @@ def test_few_rays_lead_the_way(bench: Scene, tmp_path: Path) -> None:
         taken.append(light.rays)
     fine, rough, roughest = np.diff(taken)
     assert roughest < rough < fine < taken[0]
+    shown = []
+    for trace in (partial(light.at, replicates=2), partial(light.unbiased, share=4), light.unbiased):
+        shown.append(trace(bench).images.shape[1])
+        taken.append(light.rays)
+    assert shown == [2, 4, 12]
+    half, first, last = np.diff(taken)[3:]
+    assert half < fine and first < last / 2
 
 
 def test_a_fit_begins_where_the_way_leads(bench: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from radwrap.fitting.covariance import PredictionErrors, inverse_of, spread
 from radwrap.fitting.fit import ended
 from radwrap.fitting.free_keys import FreeScene, free_scene
 from radwrap.fitting.places import Places
-from radwrap.fitting.prediction import Prediction, _grain_of
+from radwrap.fitting.prediction import Prediction, Steepness, _grain_of
 from radwrap.fitting.settled import Settled
 from radwrap.fitting.solution import settle
 from radwrap.imaging.relight.relit import Basis
@@ -258,6 +258,10 @@ def test_slopes_go_with_the_light_that_they_are_seen_in(bench: Scene, basis: Bas
     there = start * [1.0, 2.0, 0.5] + [5e-5, 0, 0]
     then = Settled(prediction, keys.keys, there, [_shaded(basis, places.scene(there))], first)
     assert then.steep is first.steep
+    # Those of the search only lead to a place: there they are seen anew.
+    early = Settled(prediction, keys.keys, start, [_shaded(basis, places.scene(start))], is_last=False)
+    last = Settled(prediction, keys.keys, start, [_shaded(basis, places.scene(start))], early)
+    assert last.steep is not early.steep
     columns = np.mgrid[0:20, 0:24][1] / 24
     brighter = 2 * (0.5 * (1 + columns) + 2 - columns + 0.5) / 3.5
     slope = first.slopes(start)[0]
@@ -356,9 +360,15 @@ def test_a_bound_that_is_near_changes_no_slope(bench: Scene, basis: Basis, share
     assert bounded == pytest.approx(slopes, rel=1e-3, abs=1e-4 * float(np.abs(slopes).max()))
 
 
-@pytest.mark.parametrize("grain", [0.0, 0.3])
-def test_slopes_of_few_rays_do_unless_they_are_grain(bench: Scene, basis: Basis, grain: float) -> None:
-    """Many rays are traced for those alone whose few rays show grain; either way the slope is that of the spot."""
+# Of the search by two replicates, of what takes twice as many rays, and which of both and of all rays are asked.
+@pytest.mark.parametrize(
+    ("grain", "next_grain", "asked"),
+    [(0.0, 0.0, (True, False)), (0.3, 0.0, (False, True)), (0.0, 0.3, (True, True))],
+)
+def test_slopes_of_few_rays_do_unless_they_are_grain(
+    bench: Scene, basis: Basis, grain: float, next_grain: float, asked: tuple[bool, bool]
+) -> None:
+    """The search says how many rays a slope takes; where it was too few of them, all are traced."""
     keys = free_scene(bench, ["targets[0].position[0]"])
 
     def traced(off: float, asked: list[float]) -> Callable[[Scene], Basis]:
@@ -372,18 +382,30 @@ def test_slopes_of_few_rays_do_unless_they_are_grain(bench: Scene, basis: Basis,
         return trace
 
     few: list[float] = []
+    more: list[float] = []
     many: list[float] = []
     rough = prediction_of(keys, traced(grain, few))
+    look = Prediction([(keys, Places(keys, [True], traced(next_grain, more)))], rough=rough)
     places = Places(keys, [True], traced(0.0, many))
-    prediction = Prediction([(keys, places)], rough=rough)
+    prediction = Prediction([(keys, places)], rough=rough, looks=[(2.0, look)])
+    rough.slopes(np.zeros(1))
+    before = len(few)
+    first = prediction.steepness(np.zeros(1), is_last=False)
+    assert len(few) == before and not more and not many  # it takes what the search has seen
     steep = prediction.steepness(np.zeros(1))
-    assert few and bool(many) == (grain > 0)
-    step = float(steep.reach[0]) * 1e3 / PIXEL
-    wanted = (_spot(step, 0.0) - _spot(-step, 0.0)) / 2
-    found = steep.changes[0].mean(axis=0) * float(steep.reach[0]) / keys.keys[0].scale
-    factor = float((found * wanted).sum() / (wanted**2).sum()) / (LEVEL * exposure_of_radiance(bench.camera))
-    assert abs(factor - 1) < 0.02  # of a step that is not infinitesimal
-    assert np.abs(found / factor / LEVEL / exposure_of_radiance(bench.camera) - wanted).max() < 0.02 * np.ptp(wanted)
+    assert (bool(more), bool(many)) == asked
+
+    def wrong(steep: Steepness) -> float:
+        step = float(steep.reach[0]) * 1e3 / PIXEL
+        wanted = (_spot(step, 0.0) - _spot(-step, 0.0)) / 2
+        found = steep.changes[0].mean(axis=0) * float(steep.reach[0]) / keys.keys[0].scale
+        factor = float((found * wanted).sum() / (wanted**2).sum()) / (LEVEL * exposure_of_radiance(bench.camera))
+        assert abs(factor - 1) < 0.02  # of a step that is not infinitesimal
+        off = found / factor / LEVEL / exposure_of_radiance(bench.camera) - wanted
+        return float(np.abs(off).max() / np.ptp(wanted))
+
+    assert wrong(steep) < 0.02
+    assert grain or wrong(first) < 0.02
 
 
 def test_a_step_is_the_less_linear_the_farther_it_goes(bench: Scene, basis: Basis) -> None:
