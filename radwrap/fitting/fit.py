@@ -260,17 +260,19 @@ def ended(
         before = near = Settled(prediction, keys, place, traced, before, is_last=share == 1)
         solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
         way = (solved.values - place) / scales
-        place = solved.values
-        off = near.bent(place) + _SLOPE_OFF if prediction.has_renders else 0.0
+        bent = near.bent(solved.values)
+        # No farther than slopes reach: along what is hardly seen they may lead anywhere.
+        place = place + (solved.values - place) / max(bent, 1.0)
+        off = bent + _SLOPE_OFF if prediction.has_renders else 0.0
         if share == 1 and off * float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
             break
     else:  # it still goes elsewhere
         solved = replace(solved, converged=False)
-    if not near.reaches(place):
+    if not near.reaches(solved.values):
         solved = replace(solved, converged=False)
     used = solved.weighed.used
     sigma = solved.weighed.sigma[used]
-    errors = PredictionErrors(near.errors(place)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
+    errors = PredictionErrors(near.errors(solved.values)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
     return Ended(solved, errors, grained)
 
 

@@ -452,3 +452,25 @@ def test_a_step_by_slopes_that_are_off_is_not_the_last_one(bench: Scene, basis: 
     off = (found.solved.values - truth) / keys.keys[0].scale * np.linalg.norm(found.solved.jacobian)
     assert found.solved.converged and light.places == 3
     assert abs(off[0]) < 0.1
+
+
+def test_no_step_is_longer_than_slopes_reach(bench: Scene, basis: Basis) -> None:
+    """A spot that is 2 px off, by slopes that are seen over less: the next place is not beyond these."""
+    keys = free_scene(bench, ["targets[0].position[0]=-0.1 m:0.1 m"])
+    asked: list[float] = []
+
+    def traced(scene: Scene) -> Basis:
+        shown = LEVEL * _spot(scene.targets[0].pose.position[0] * 1e3 / PIXEL, 0.0)
+        return replace(basis, images=np.broadcast_to(shown / 3, basis.images.shape).astype(np.float32))
+
+    class Unbiased:
+        def unbiased(self, scene: Scene, share: int, near: object) -> Basis:
+            asked.append(scene.targets[0].pose.position[0])
+            return traced(scene)
+
+    prediction = prediction_of(keys, traced)
+    reach = float(prediction.steepness(np.zeros(1)).reach[0])
+    seen = taken(prediction.at(np.array([2 * PIXEL * 1e-3])).unclipped, bench)
+    ended(keys.keys, prediction, Unbiased(), [seen], np.zeros(1), noise=1.5, robust=False)  # type: ignore[arg-type]
+    assert reach < PIXEL * 1e-3
+    assert asked[:2] == pytest.approx([0.0, reach], abs=EXACT)
