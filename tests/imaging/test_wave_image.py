@@ -20,7 +20,7 @@ from radwrap.imaging.methods.kernel import GRID_SHARE, decide_tile, gathered_til
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.bounds import Bounded
-from radwrap.imaging.tolerance.cells_in_common import own_change, smaller_cell
+from radwrap.imaging.tolerance.cells_in_common import own_cell, own_change, smaller_cell
 from radwrap.imaging.tolerance.certificate import Certificate
 from radwrap.imaging.tolerance.wave_image import WaveError, _common_square, seen_rms, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts, _crossing, wave_parts
@@ -237,6 +237,7 @@ def test_waves_get_the_cells_of_their_image_or_half_of_their_own(waves: float, s
     image = SimpleNamespace(ray_plan=plan_kernel(view, np.array([1.0]), 1.0, even_cell=0.25))
     plan = plan_waves(view, WAVELENGTH, 0.25, seed=1, even_cell=waves)
     assert smaller_cell(image, plan) == smaller  # type: ignore[arg-type]
+    assert own_cell(image) == 0.25 and own_cell(None) == math.inf  # type: ignore[arg-type]
     guessed = plan_waves(view, WAVELENGTH, 0.25, seed=1, share=1.0)
     assert guessed.kernel.grid.cell > plan_waves(view, WAVELENGTH, 0.25, 1, share=1.0, most_cell=0.125).kernel.grid.cell
 

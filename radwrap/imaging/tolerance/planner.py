@@ -72,7 +72,7 @@ EFFORTS: Final = ((512, 4, 16), (1024, 8, 32), (1024, 16, 128), (2048, 64, 1024)
 # that is so much of all other squares. They may take so much of the rays so far, or a few in any case.
 _UNSEEN_SHARE: Final = 0.25
 _TELLING_SHARE: Final = 0.25
-_FEW_RAYS: Final = 1 << 15
+_FEW_RAYS: Final = 1 << 17
 # A 99 % quantile without an exceedance among so many: 97.5 % sure of each half's 99.5 %.
 _QUANTILE_PIXELS: Final = 1024
 _QUANTILE: Final = 0.995
