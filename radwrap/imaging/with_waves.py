@@ -23,7 +23,7 @@ from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_o
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.tolerance.cells_in_common import own_cell, own_change, smaller_cell
+from radwrap.imaging.tolerance.cells_in_common import own_change, smaller_cell
 from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import OF_FAR, strata_for
@@ -342,7 +342,7 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
     """
     tolerance, more_may_help = waves.options.gray_tolerance, waves.options.sampling is None
     left = left_to_waves(tolerance, image.made)
-    aim, of_cells, most_cell, again = _AIM * left, OF_CELLS * left, own_cell(image.made.outcome), False
+    aim, of_cells, most_cell, again = _AIM * left, OF_CELLS * left, math.inf, False
     for tries_left in reversed(range(_TRIES if more_may_help else 1)):
         pace.begin()
         plan = waves.plan(aim, of_cells, most_cell, again=again)

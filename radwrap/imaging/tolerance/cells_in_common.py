@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -45,13 +44,7 @@ def own_change(
     return change, change * (GRID_SHARE / grid_share(kernel) if alike else 1.0)
 
 
-def own_cell(image: Outcome | None) -> float:
-    """Size of the cells of an image [px], which its waves have too where they would have larger ones."""
-    kernel = None if image is None else kernel_of(image.ray_plan)
-    return math.inf if kernel is None else kernel.grid.cell
-
-
 def smaller_cell(image: Outcome, waves: WavePlan) -> float:
     """Size of cells of waves that were found too large [px]: that of the image's where these are smaller, or half."""
-    cell = waves.kernel.grid.cell
-    return own if (own := own_cell(image)) < cell else cell / 2
+    kernel, cell = kernel_of(image.ray_plan), waves.kernel.grid.cell
+    return kernel.grid.cell if kernel is not None and kernel.grid.cell < cell else cell / 2

@@ -92,17 +92,20 @@ def wave_error(
     if own is not None and not parts.lasting.any():
         lasting = replace(lasting, cells=_beside_own(own, parts.cells, made, gray))
     common = _common_square(parts.lasting, made, gray)
-    return replace(lasting, noise=noise, lasting=min(max(lasting.cells, 0.0), common))
+    return replace(lasting, noise=noise, lasting=min(lasting.cells, common))
 
 
 def _beside_own(own: tuple[Array, Array], cells: Array, made: Array, gray: Gray) -> float:
-    """What cells of waves add to the mean square that the image's own change by themselves; it may be less."""
+    """What cells of waves add to the mean square that the image's own change by themselves.
+
+    Nothing where the sum is less: what estimates of both seem to cancel makes no bound smaller.
+    """
     square = 0.0
     for strip in strips_of(*made.shape):
         exact = gray(made[strip])
         alone, both = (gray(made[strip] + each[strip]) - exact for each in (own[0], own[1] + cells))
         square += float((both**2).sum()) - float((alone**2).sum())
-    return square / made.size
+    return max(square, 0.0) / made.size
 
 
 def _common_square(lasting: Array, made: Array, gray: Gray) -> float:
