@@ -258,7 +258,7 @@ def test_cells_that_are_alike_have_to_resolve_the_waves_only(side: float, waves_
     assert own_change(SimpleNamespace(ray_plan=kernel, replicates=SimpleNamespace(change=None)), plan, [1.0]) is None  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("waves_cell", [1.0, 0.25])
+@pytest.mark.parametrize("waves_cell", [1.0, pytest.param(0.25, marks=pytest.mark.long)])
 def test_cells_of_one_size_do_not_show_where_waves_are_smooth(waves_cell: float) -> None:
     """An opening of 2 px, whose waves are 28 px wide, and cells of 1 px.
 

@@ -105,7 +105,7 @@ class Certificate:
         noise : Bounded
             Mean square of what the number of their rays adds [gray level^2].
         cells : float
-            Mean square of what their cells add [gray level^2]; below 0 where they take away of what the image's add.
+            Mean square of what their cells add [gray level^2].
         tails : float
             Rms of what light may add that comes from farther than was looked at [gray level].
         quantile : float
@@ -128,10 +128,10 @@ class Certificate:
         deviation = math.hypot(*(max(part.upper, 0.0) - max(part.mean, 0.0) for part in each))
         return replace(
             self,
-            rms_gray=root(known),
-            rms_gray_upper95=root(max(known, 0.0) + tails**2 + deviation) + bands,
+            rms_gray=math.sqrt(known),
+            rms_gray_upper95=math.sqrt(known + tails**2 + deviation) + bands,
             p99_gray_upper95=None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + quantile,
-            diffraction_gray=math.sqrt(noise.upper + max(cells, 0.0) + tails**2) + bands,
+            diffraction_gray=math.sqrt(noise.upper + cells + tails**2) + bands,
         )
 
 
