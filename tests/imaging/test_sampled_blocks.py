@@ -46,8 +46,10 @@ def shaded(*more: dict[str, Any]) -> Scene:
 
 
 @pytest.mark.long
-def test_half_shadows_take_few_rays_and_keep_their_bound() -> None:
+def test_half_shadows_take_few_rays_and_keep_their_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = shaded()
+    for name in ("_FEW_RAYS", "_TELLING_SHARE"):  # no more pairs of rays, of which only the last look is told
+        monkeypatch.setattr(f"radwrap.imaging.tolerance.planner.{name}", 0)
     made, all_traced = (render(scene, None, COMPILED, tolerance=0.3, max_error=most) for most in (None, 50.0))
     gray = made.gray.values
     assert gray.max() > 1.3 * gray.min() > 20  # all of it lies in the half shadow
