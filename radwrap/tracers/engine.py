@@ -37,8 +37,8 @@ class BlockLight(IntEnum):
     PROVED = 2
 
 
-# Rays through corners and middles of blocks of an image -> each block's `BlockLight`.
-Prover = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.int8]]
+# Rays through corners and middles of blocks of an image, and each block's corners -> each block's `BlockLight`.
+Prover = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]], NDArray[np.int8]]
 
 
 class Engine(Protocol):
@@ -116,8 +116,9 @@ class Engine(Protocol):
     def smooth_blocks(self) -> Prover | None:
         """Who can prove that light changes smoothly within blocks of an image, if anybody.
 
-        It is asked with rays through the blocks' corners, shape (rows + 1,
-        columns + 1, 6), and through their middles, shape (rows, columns, 6),
-        all from one point, and answers with a `BlockLight` for each block.
+        It is asked with rays through the blocks' corners, shape (corners, 6),
+        and through their middles, shape (n, 6), all from one point, and with
+        the numbers of each block's corners, one beside the next, shape (n, 4).
+        It answers with a `BlockLight` for each block.
         """
         ...

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import radwrap
-from radwrap.imaging.optics.smooth import BLOCK, corners_of
+from radwrap.imaging.optics.smooth import BLOCK, corners_around, corners_of
 from radwrap.imaging.optics.view import central_rays
 from radwrap.scene.scene import Scene
 from radwrap.tracers.compiled.layout import compiled_scene
@@ -85,7 +85,16 @@ def lattice(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def proved(scene: Scene) -> np.ndarray:
-    return smooth_blocks(compiled_scene(scene, TextFrame()), *lattice(scene)) == BlockLight.PROVED
+    return light_in(scene, np.ones((ROWS // BLOCK, COLUMNS // BLOCK), dtype=np.bool_)) == BlockLight.PROVED
+
+
+def light_in(scene: Scene, blocks: np.ndarray) -> np.ndarray:
+    """The `BlockLight` of some blocks, laid out as these are."""
+    corners, middles = lattice(scene)
+    needed, around = corners_around(blocks)
+    light = np.full(blocks.shape, BlockLight.UNKNOWN, dtype=np.int8)
+    light[blocks] = smooth_blocks(compiled_scene(scene, TextFrame()), corners[needed], middles[blocks], around)
+    return light
 
 
 def block_of(x: float, y: float) -> tuple[int, int]:

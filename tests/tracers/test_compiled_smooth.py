@@ -15,12 +15,24 @@ from radwrap.imaging.optics.view import central_rays
 from radwrap.scene.materials import Lambertian
 from radwrap.tracers.compiled.layout import compiled_scene
 from radwrap.tracers.compiled.tracer import CompiledTracer
+from radwrap.tracers.engine import BlockLight
 from radwrap.tracers.text_frame import TextFrame
-from tests.tracers.belt import FLAT, at, block_of, lattice, proved, scene_of
+from tests.tracers.belt import FLAT, at, block_of, lattice, light_in, proved, scene_of
 
 
 def test_an_empty_belt_is_smooth_everywhere() -> None:
     assert proved(scene_of()).all()
+
+
+def test_some_blocks_are_found_as_among_all() -> None:
+    ball = {"type": "sphere", "name": "ball", "material": "dark", "position": at(2.6, 1.6, 1), "diameter": "1 mm"}
+    scene = scene_of(ball)
+    found = proved(scene)
+    assert found.any() and not found.all()
+    some = np.random.default_rng(7).random(found.shape) < 0.3
+    some[block_of(2.6, 1.6)] = True
+    assert ((light_in(scene, some) == BlockLight.PROVED) == (found & some)).all()
+    assert not light_in(scene, np.zeros_like(some)).any()
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.imaging.optics.diffraction import Light
-from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_of, most_about
+from radwrap.imaging.optics.smooth import BLOCK, SmoothField, corners_around, corners_of, most_about
 from radwrap.imaging.optics.view import LitView, View, central_rays, trace_rays
 from radwrap.imaging.response.sensor import unclipped_gray
-from radwrap.tracers.engine import BlockLight
+from radwrap.scene.camera import Camera
+from radwrap.tracers.engine import BlockLight, Prover
 
 Array = NDArray[np.float64]
 _Lit = TypeVar("_Lit", Light, LitView)
@@ -47,7 +48,7 @@ def smooth_field(view: View, reach: float, tolerance: float) -> SmoothField | No
     first = (-margin, -margin)
     corners = corners_of(first, shape)
     middles = tuple(places[:-1, :-1] + BLOCK / 2 for places in corners)
-    light = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
+    light = _light_in(view.prover, view.camera, np.ones(shape, dtype=np.bool_), corners, middles)
     proved = light == BlockLight.PROVED
     values, magnification = _traced(view, *corners)
     likely = light == BlockLight.LIKELY
@@ -110,8 +111,8 @@ def finer_field(view: View, field: SmoothField, known: NDArray[np.bool_]) -> Smo
     shape = tuple(2 * size for size in field.smooth.shape)
     corners = corners_of(first, shape, block)
     middles = tuple(places[:-1, :-1] + block / 2 for places in corners)
-    light = view.prover(*(central_rays(view.camera, *places) for places in (corners, middles)))
-    likely = (light != BlockLight.UNKNOWN) & ~np.repeat(np.repeat(known, 2, axis=0), 2, axis=1)
+    rest = ~np.repeat(np.repeat(known, 2, axis=0), 2, axis=1)
+    likely = _light_in(view.prover, view.camera, rest, corners, middles) != BlockLight.UNKNOWN
     needed = most_about(likely)
     values, magnification = np.zeros((*field.values.shape[:-2], *needed.shape)), np.ones(needed.shape)
     at = tuple(places[needed] for places in corners)
@@ -128,6 +129,22 @@ def finer_field(view: View, field: SmoothField, known: NDArray[np.bool_]) -> Smo
         np.zeros(needed.shape, dtype=np.int8),
         block,
     )
+
+
+def _light_in(
+    prover: Prover,
+    camera: Camera,
+    blocks: NDArray[np.bool_],
+    corners: tuple[Array, ...],
+    middles: tuple[Array, ...],
+) -> NDArray[np.int8]:
+    """How light can change within some of all blocks, a `BlockLight`; nothing is known of the others."""
+    needed, around = corners_around(blocks)
+    through_corners = central_rays(camera, *(axis[needed] for axis in corners))
+    through_middles = central_rays(camera, *(axis[blocks] for axis in middles))
+    light = np.full(blocks.shape, BlockLight.UNKNOWN, dtype=np.int8)
+    light[blocks] = prover(through_corners, through_middles, around)
+    return light
 
 
 def bundles(view: View, places: tuple[Array, Array], side: int) -> Array:

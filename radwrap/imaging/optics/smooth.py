@@ -163,6 +163,15 @@ def most_about(values: NDArray[_T]) -> NDArray[_T]:
     return most
 
 
+def corners_around(blocks: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Which corners some blocks have, and the numbers of each block's four among these, shape (n, 4), going around."""
+    needed = most_about(blocks)
+    number = np.cumsum(needed).reshape(needed.shape) - 1
+    row, column = np.nonzero(blocks)
+    around = [(row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)]
+    return needed, np.stack([number[corner] for corner in around], axis=1)
+
+
 def mean_of_corners(corners: Array) -> Array:
     """Mean of each block's four corners."""
     mean: Array = (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4

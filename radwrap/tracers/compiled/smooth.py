@@ -9,7 +9,6 @@ hides a light from all of the block, see `outlines`.
 from __future__ import annotations
 
 import math
-from itertools import product
 from typing import Final
 
 import numpy as np
@@ -71,44 +70,37 @@ _EMITTER: Final = -2
 _NOTHING: Final = -1
 
 
-def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDArray[np.int8]:
+def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats, around: Whole) -> NDArray[np.int8]:
     """How light can change within each block, a `BlockLight`.
 
     Parameters
     ----------
     scene : CompiledScene
         What is there.
-    corners : ndarray, shape (rows + 1, columns + 1, 6)
+    corners : ndarray, shape (corners, 6)
         Rays through the corners of the blocks, all from one point.
-    middles : ndarray, shape (rows, columns, 6)
+    middles : ndarray, shape (n, 6)
         Rays through their middles.
+    around : ndarray of int, shape (n, 4)
+        Numbers of each block's corners, one beside the next.
     """
-    count = middles.shape[:2]
-    if (scene.lights["beam"] == CONE).any():  # its light ends at once
-        return np.zeros(count, dtype=np.int8)
+    smooth = np.zeros(len(middles), dtype=np.int8)
+    if not len(middles) or (scene.lights["beam"] == CONE).any():  # its light ends at once
+        return smooth
     met, cover, place = _faces(scene, corners)
     shape, wears, middle = _faces(scene, middles)
-    at_corners = [slice(None, -1), slice(1, None)]
-    same, alike = shape > _EMITTER, shape >= 0
-    for down, right in product(at_corners, at_corners):
-        same &= (met[down, right] == shape) & (cover[down, right] == wears)
-        alike &= (met[down, right] >= 0) & (cover[down, right] == wears)
-    for down, right in product(at_corners, at_corners):
-        alike[alike] = _in_one_plane(scene, met[down, right][alike], shape[alike], middle[alike])
-    chosen = np.nonzero(same | alike)
-    row, column = chosen
-    places = np.stack(
-        [place[row, column], place[row + 1, column], place[row + 1, column + 1], place[row, column + 1], middle[chosen]]
-    )
-    low, high = places.min(axis=0), places.max(axis=0)
+    same, alike = np.empty(len(middles), dtype=np.bool_), np.empty(len(middles), dtype=np.bool_)
+    _on_one_face(scene.targets.shapes, met, cover, shape, wears, middle, around, same, alike)
+    chosen = np.flatnonzero(same | alike)
+    places = np.concatenate([place[around[chosen]], middle[chosen, np.newaxis]], axis=1)
+    low, high = places.min(axis=1), places.max(axis=1)
     spare = _SPARE * (high - low)
-    boxes = rows(Cluster, len(row))
+    boxes = rows(Cluster, len(chosen))
     put(boxes, "x0 y0 z0", low - spare)
     put(boxes, "x1 y1 z1", high + spare)
-    reach = np.sqrt(((places[:4] - places[4]) ** 2).sum(axis=2)).max(axis=0) * (1 + _SPARE)
-    ex, ey, ez = ((middles[0, 0, :3] - scene.frame.origin) * scene.frame.units).tolist()
-    found = np.zeros(len(row), dtype=np.int8)
-    places = np.ascontiguousarray(places.transpose(1, 0, 2))
+    reach = np.sqrt(((places[:, :4] - places[:, 4:]) ** 2).sum(axis=2)).max(axis=1) * (1 + _SPARE)
+    ex, ey, ez = ((middles[0, :3] - scene.frame.origin) * scene.frame.units).tolist()
+    found = np.zeros(len(chosen), dtype=np.int8)
     edges = outlines.edges_of(scene.targets.shapes)
     _undisturbed(
         scene.targets.shapes,
@@ -137,7 +129,6 @@ def smooth_blocks(scene: CompiledScene, corners: Floats, middles: Floats) -> NDA
         found,
     )
     _settle_shaded(scene, edges, boxes, places, shape[chosen], (ex, ey, ez), found)
-    smooth = np.zeros(count, dtype=np.int8)
     smooth[chosen] = found
     return smooth
 
@@ -176,21 +167,44 @@ def _settle_shaded(
     found[shaded] = np.where(even[shaded], _PROVED, 0)
 
 
-def _in_one_plane(scene: CompiledScene, one: Whole, other: Whole, place: Floats) -> NDArray[np.bool_]:
-    """Whether faces of one target lie in one plane, as far as rounding goes."""
-    shapes = scene.targets.shapes
-    a, b = shapes[one], shapes[other]
-    normals = [np.stack([s["nx"], s["ny"], s["nz"]], axis=-1) for s in (a, b)]
-    off = (normals[0] * (np.stack([a["x"], a["y"], a["z"]], axis=-1) - place)).sum(axis=-1)
-    alike: NDArray[np.bool_] = (a["owner"] == b["owner"]) & (np.abs(normals[0] - normals[1]).max(axis=-1) < _TURNED)
-    return alike & (np.abs(off) <= _TURNED * np.abs(place).max(axis=-1))
+@compiled
+def _on_one_face(
+    shapes: Shapes,
+    met: Whole,
+    cover: Whole,
+    shape: Whole,
+    wears: Whole,
+    middle: Floats,
+    around: Whole,
+    same: NDArray[np.bool_],
+    alike: NDArray[np.bool_],
+) -> None:
+    """Fill in whether a block's corners and its middle meet the same shape, and shapes of one target in one plane."""
+    for b in range(len(shape)):
+        same[b], alike[b] = shape[b] > _EMITTER, shape[b] >= 0
+        for k in range(4):
+            corner = around[b, k]
+            same[b] &= met[corner] == shape[b] and cover[corner] == wears[b]
+            alike[b] = (
+                alike[b]
+                and met[corner] >= 0
+                and cover[corner] == wears[b]
+                and _in_one_plane(shapes[met[corner]], shapes[shape[b]], middle[b, 0], middle[b, 1], middle[b, 2])
+            )
+
+
+@compiled
+def _in_one_plane(one: Shape, other: Shape, x: float, y: float, z: float) -> bool:
+    """Whether faces of one target lie in one plane, a place of the other's that of the one, as far as rounding goes."""
+    turned = max(abs(one.nx - other.nx), abs(one.ny - other.ny), abs(one.nz - other.nz))
+    off = one.nx * (one.x - x) + one.ny * (one.y - y) + one.nz * (one.z - z)
+    return one.owner == other.owner and turned < _TURNED and abs(off) <= _TURNED * max(abs(x), abs(y), abs(z))
 
 
 def _faces(scene: CompiledScene, rays: Floats) -> tuple[Whole, Whole, Floats]:
     """Shape that each ray meets, or `_NOTHING` or `_EMITTER`, the cover that it shows there, and the place."""
-    block = np.ascontiguousarray(rays.reshape(-1, 6))
-    met, cover = np.empty(len(block), dtype=np.int64), np.empty(len(block), dtype=np.int64)
-    place = np.empty((len(block), 3))
+    met, cover = np.empty(len(rays), dtype=np.int64), np.empty(len(rays), dtype=np.int64)
+    place = np.empty((len(rays), 3))
     _met(
         scene.targets.shapes,
         scene.targets.nodes,
@@ -198,7 +212,7 @@ def _faces(scene: CompiledScene, rays: Floats) -> tuple[Whole, Whole, Floats]:
         scene.emitters.nodes,
         scene.decals,
         scene.tables,
-        block,
+        np.ascontiguousarray(rays),
         *scene.frame.origin,
         float(scene.frame.units),
         met,
@@ -206,8 +220,7 @@ def _faces(scene: CompiledScene, rays: Floats) -> tuple[Whole, Whole, Floats]:
         place,
         np.empty(DEPTH, dtype=np.int64),
     )
-    shape = rays.shape[:-1]
-    return met.reshape(shape), cover.reshape(shape), place.reshape(*shape, 3)
+    return met, cover, place
 
 
 @compiled

@@ -74,4 +74,4 @@ def warm_up() -> None:
     next(tracer.trace([ray]))
     next(tracer.distances([ray]))
     next(WalkingTracer(tracer, np.zeros((1, 3)), 1, 0).trace([ray]))
-    smooth_blocks(scene, np.tile(ray, (2, 2, 1)), ray[np.newaxis])
+    smooth_blocks(scene, np.tile(ray, (4, 1)), ray, np.arange(4)[np.newaxis])
