@@ -32,7 +32,7 @@ _PILOTS: Final = 2
 _PILOT_HALVINGS: Final = 1  # of the points of wide lights that they ask
 _SIZES: Final = 3  # of blocks, each half of the one before
 # Of the tolerance: noise of what lies between corners, and all error of these blocks.
-_NOISE_SHARE: Final = 0.2
+_NOISE_SHARE: Final = 0.3
 # Of the smaller blocks, which fill less of the image and have more corners, a larger one: with a corner for each four
 # pixels it would cost as much as rays through these.
 _BY_SIZE: Final = 5 / 3
