@@ -36,7 +36,7 @@ def left_to_waves(tolerance: float, made: Made) -> float:
 
 def left_to_image(square: float, off: WaveError) -> float:
     """What the image may be off by where both have so much [gray level]; of waves that take more than half, half."""
-    return math.sqrt(square - min(off.noise.upper + max(off.cells - off.lasting, 0.0), square / 2))
+    return math.sqrt(square - min(off.noise.upper + off.cells - off.lasting, square / 2))
 
 
 def finer(tolerance: float, made: Made, off: WaveError, *, least: float) -> tuple[float, float]:

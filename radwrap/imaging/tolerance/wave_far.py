@@ -114,14 +114,16 @@ def far_rays(plan: WavePlan) -> int:
 
 
 def strata_for(plan: WavePlan, seen: float, allowed: float) -> int:
-    """Fewest rays along a side of a block by which noise of far light is small whatever lies in a block.
+    """Fewest rays along a side of a block by which noise of far light is small where it is as bright as what is seen.
+
+    What is small and brighter beside the image makes more noise; the certificate sees that, and asks for more rays.
 
     Parameters
     ----------
     plan : WavePlan
         For the blocks and their weights.
     seen : float
-        Rms of the light that an image sees [gray level]: light of blocks is not noisier than if all of it were noise.
+        Rms of the light that an image sees [gray level]: that of blocks is taken to be all noise.
     allowed : float
         Noise, rms [gray level].
     """

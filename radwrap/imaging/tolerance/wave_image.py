@@ -35,8 +35,7 @@ class WaveError:
     noise : Bounded
         Mean square of what the number of rays adds [gray level^2].
     cells : float
-        Mean square of what `WaveParts.cells` adds [gray level^2]; below 0 where it takes away more of what the size of
-        the image's own cells adds.
+        Mean square of what `WaveParts.cells` adds to what the size of the image's own cells does [gray level^2].
     lasting : float
         The part of it that neither finer cells nor more rays make smaller.
     tails : float

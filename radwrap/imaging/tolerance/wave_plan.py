@@ -45,6 +45,8 @@ _LOOK: Final = 64  # rays along a side of a look at the depths
 # single ones, by 30 % less rays.
 _BASE_SHARE: Final = 1.0
 _LEAST_BASE: Final = 2.0  # px
+# There are so many of them at least, whatever waves spread: a line of two pixels is missed by base cells of sixteen.
+_FEWEST_CELLS: Final = 16384
 # Cells as wide as the wave's length change about a quarter of what waves add, rms, and half as wide ones a quarter of
 # that. Where more than that may be left, cells may be of half a pixel though rays blur by less.
 _OFF: Final = 0.25
@@ -294,11 +296,15 @@ def plan_waves(
         wanted = min(coarsest, most_cell, blur * math.sqrt((share or _OFF) / _OFF))
         finer = math.ceil(math.log2(plan.grid.cell / max(wanted, FINEST_CELL)) - _ABOUT)
         plan = plan_kernel(bare(view), met, aim, finer)
-        # Where light is even rays go on in wide steps, as waves spread what they add.
-        wider = max(0, math.floor(math.log2(max(_BASE_SHARE * blur, _LEAST_BASE) / plan.grid.base)))
-        plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
     near = waves.blur * min(_WIDEST_NEAR, max(_NEAR, waves.tail_radius(far) / waves.blur))
-    plan = replace(plan, guard=max(near / pitch, least_guard(camera.sensor)) + glass_reach(camera) / pitch)
+    guard = max(near / pitch, least_guard(camera.sensor)) + glass_reach(camera) / pitch
+    if even_cell is None:
+        # Where light is even rays go on in wide steps, as waves spread what they add.
+        seen = (camera.sensor.rows + 2 * guard) * (camera.sensor.columns + 2 * guard)
+        widest = max(min(_BASE_SHARE * blur, math.sqrt(seen / _FEWEST_CELLS)), _LEAST_BASE)
+        wider = max(0, math.floor(math.log2(widest / plan.grid.base)))
+        plan = replace(plan, grid=replace(plan.grid, base=plan.grid.base << wider, levels=plan.grid.levels + wider))
+    plan = replace(plan, guard=guard)
     weights = WaveWeights(plan, _less_rays(waves), lens_field(camera, wavelength))
     if even_cell is None:
         aim /= _noise_gain(weights)
