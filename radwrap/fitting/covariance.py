@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 RANK: Final = 1e-6
 # The same where renders are compared: rays of the two have some of their grain in common, not all of it.
 GRAIN: Final = 1e-2
+# The same where captures pull by more than noise. Searches wander by two thirds of an exposure along what shows as 3e-3
+# to 1e-2, and where the end stays there, right scenes are refused. What stands out of measured grain is known by that.
+PULLED: Final = 1e-3
 _NOTHING: Final = 1e-10  # of the longest column: rounding of two predictions, over their step
 _TOUCHED: Final = 1e-3  # share of a key in a direction that is not determined
 # Of what slopes show in a direction, by its square: where more is grain, nothing is known.

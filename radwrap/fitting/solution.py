@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.fitting.captured import Captured
-from radwrap.fitting.covariance import GRAIN, RANK, inverse_of
+from radwrap.fitting.covariance import GRAIN, PULLED, RANK, inverse_of
 from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
 from radwrap.fitting.settled import Grain, Grained, Settled
@@ -30,6 +30,10 @@ _EVALUATIONS: Final = 100  # of one round
 _AS_MUCH: Final = 1e-2  # of a pixel's weight: by so little it may change, and the grain of slopes is the same
 _TOO_FAR: Final = 1e6  # of a key's scale, from where it begins: no value is sought there
 _CREEPS: Final = 2  # rounds one after the other that end nowhere
+# Singular values, over the largest, by which the first place is left: its slopes are those of the search, and only lead
+# to where finer ones are seen. Down to 1e-2 they led exposures to and fro by a third.
+_ROUGH: Final = 5e-2
+_BY_NOISE: Final = 3.0  # expected deviations that captures pull by along what is weak, and nothing need be wrong
 _INSIDE: Final = 1e-9  # of a key's scale: so far from its bounds the solver begins
 
 
@@ -213,7 +217,7 @@ def settle(
     scales = np.array([key.scale for key in keys])
     low, high = np.array([[key.low, key.high] for key in keys]).T
     against = _Against(near, tuple(captured), noise)
-    share = GRAIN if near.has_renders else RANK
+    shares = _shares(near)
     start = np.clip(begin, low, high)
     grains = _Grains(near.grained(start), robust)
     values, rounds, moved = start, 0, np.inf
@@ -225,11 +229,11 @@ def settle(
         slopes, grain = grains.of(weights, left, weight)
         jacobian = against.slopes(values, weights) * weight[:, np.newaxis]
         pull = grain.pull_at(values - start, scales)
-        step = _step(jacobian, left * weight, slopes, pull, share)
+        step = _step(jacobian, left * weight, slopes, pull, shares)
         # A key at its bound, which would be led beyond, is held.
         held = ((values <= low) & (step < 0)) | ((values >= high) & (step > 0))
         if held.any():
-            step = _step(np.where(held, 0.0, jacobian), left * weight, slopes, pull, share)
+            step = _step(np.where(held, 0.0, jacobian), left * weight, slopes, pull, shares)
         tried = np.clip(values + step * scales, low, high)
         moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
         values = tried
@@ -282,10 +286,24 @@ def _pulls(left: Array) -> Array:
     return np.asarray((1 + left**2) ** -0.75)
 
 
-def _step(jacobian: Array, left: Array, grain: Array, pull: Array, share: float) -> Array:
-    """What the keys move by, in their scales."""
-    inverse = inverse_of(jacobian, share, grain)
-    return np.asarray(inverse.matrix @ left + inverse.square @ pull)
+def _shares(near: Settled) -> tuple[float, float]:
+    """Of the largest singular value: what is gone along in any case, and what where captures pull."""
+    if not near.has_renders:
+        return RANK, RANK
+    return (GRAIN, PULLED) if near.is_last else (_ROUGH, _ROUGH)
+
+
+def _step(jacobian: Array, left: Array, grain: Array, pull: Array, shares: tuple[float, float]) -> Array:
+    """What the keys move by, in their scales.
+
+    Along what is weak beside the rest noise leads far, and slopes may be off by a third: there a step is the shorter,
+    the nearer its pull is to what noise pulls by. So the captures are explained, and nothing wanders.
+    """
+    sure, every = (inverse_of(jacobian, share, grain) for share in shares)
+    step = sure.matrix @ left + sure.square @ pull
+    weak = every.matrix @ left + every.square @ pull - step
+    pulled = float(np.linalg.norm(jacobian @ weak))
+    return np.asarray(step + max(1 - (_BY_NOISE / pulled) ** 2, 0.0) * weak if pulled else step)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

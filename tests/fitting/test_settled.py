@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from radwrap.fitting.covariance import PredictionErrors, inverse_of, spread
+from radwrap.fitting.covariance import GRAIN, PULLED, PredictionErrors, inverse_of, spread
 from radwrap.fitting.fit import ended
 from radwrap.fitting.free_keys import FreeScene, free_scene
 from radwrap.fitting.places import Places
@@ -31,6 +31,7 @@ EXACT: Final = 1e-9
 FEW: Final = 8  # rounds
 BLUR: Final = 1.5  # px
 PIXEL: Final = 2.0  # mm on the target
+WEAK_PULL: Final = 3.0  # expected deviations that noise may pull by
 LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
 
 
@@ -301,7 +302,7 @@ def test_a_fit_that_still_goes_elsewhere_has_not_converged(bench: Scene, basis: 
     prediction.slopes(begin)
     found = ended(keys.keys, prediction, light, [seen], begin, noise=0.3, robust=False)  # type: ignore[arg-type]
     assert found.solved.converged == rests
-    assert (light.places < 5) == rests and 2 <= light.places <= 5
+    assert (light.places < 7) == rests and 2 <= light.places <= 7
 
 
 def prediction_of(keys: FreeScene, trace: Callable[[Scene], Basis]) -> Prediction:
@@ -474,3 +475,35 @@ def test_no_step_is_longer_than_slopes_reach(bench: Scene, basis: Basis) -> None
     ended(keys.keys, prediction, Unbiased(), [seen], np.zeros(1), noise=1.5, robust=False)  # type: ignore[arg-type]
     assert reach < PIXEL * 1e-3
     assert asked[:2] == pytest.approx([0.0, reach], abs=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("apart", "is_last", "moves"),
+    [(0.3, True, True), (0.02, True, False), (0.3, False, False)],
+    ids=["pulls", "noise", "rough slopes"],
+)
+def test_what_is_weak_moves_only_where_captures_pull(
+    bench: Scene, basis: Basis, apart: float, is_last: bool, moves: bool
+) -> None:
+    """Two LEDs differ by a twentieth over the image: beside renders, what noise may do leads nowhere."""
+    free = ["targets[0].position[0]=-0.1 m:0.1 m", *(LEVELS.replace("*", led) for led in "01")]
+    keys = free_scene(bench, free)
+    tilt = 1 + 0.05 * (np.mgrid[0:20, 0:24][1] / 24 - 0.5)
+    sides = np.stack([np.ones_like(tilt), tilt, 0.5 * np.ones_like(tilt)]) / 2.5
+
+    def traced(scene: Scene) -> Basis:
+        shown = LEVEL * sides * (0.5 + _spot(scene.targets[0].pose.position[0] * 1e3 / PIXEL, 0.0))
+        return replace(basis, images=np.repeat(shown[:, np.newaxis], 2, axis=1).astype(np.float32))
+
+    prediction = Prediction([(keys, Places(keys, [True, False, False], traced))])
+    begin, truth = np.array([0.0, 1.0, 1.0]), np.array([0.0, 1 + apart, 1 - apart])
+    near = Settled(prediction, keys.keys, begin, [traced(bench)], is_last=is_last)
+    seen = taken(prediction.at(truth).unclipped, bench)
+    solved, _ = settle(keys.keys, near, [seen], 0.2, robust=False, begin=begin)
+    shares = np.linalg.svd(solved.jacobian / np.linalg.norm(solved.jacobian, axis=0), compute_uv=False)
+    assert PULLED < shares[-1] / shares[0] < GRAIN
+    gone = (solved.values[1] - solved.values[2]) / (2 * apart)
+    pull = float(np.linalg.norm(solved.jacobian @ np.array([0.0, apart, -apart])))
+    assert (pull > WEAK_PULL) == (apart > 0.1)
+    # What is left of the pull is what noise may be, squared, over itself.
+    assert gone == pytest.approx(1 - (WEAK_PULL / pull) ** 2 if moves else 0.0, abs=0.01)
