@@ -45,10 +45,6 @@ class Grain:
     slopes: Array
     pull: Array
 
-    def pull_at(self, away: Array, scales: Array) -> Array:
-        """The pull where keys are some way off: the prediction has gone along its slopes, and so has its error."""
-        return np.asarray(self.pull + self.slopes @ (away / scales))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grained:
@@ -66,6 +62,9 @@ class Grained:
         Change of the gray levels with the latter.
     own : ndarray, shape (replicates, captures * rows, columns)
         Gray levels by the same rays as these.
+    away : ndarray, shape (n,)
+        How far the former are from where the image was traced, over their scales: it has gone along their slopes, and
+        so has its error.
     """
 
     rendered: NDArray[np.intp]
@@ -74,6 +73,7 @@ class Grained:
     per_light: Array
     moved: Array
     own: Array
+    away: Array
 
     def over(self, used: NDArray[np.bool_], sigma: Array) -> Grain:
         """Of the used pixels.
@@ -89,7 +89,8 @@ class Grained:
         slopes, pull = np.zeros((keys, keys)), np.zeros(keys)
         if len(self.rendered):
             moved = self.changes[:, :, used] * (self.per_light[used] / sigma)
-            slopes[np.ix_(self.rendered, self.rendered)] = _scatter(moved, moved)
+            slopes[np.ix_(self.rendered, self.rendered)] = scatter = _scatter(moved, moved)
+            pull[self.rendered] = scatter @ self.away
         if len(self.others):
             moved = self.moved[:, :, used] / sigma
             slopes[np.ix_(self.others, self.others)] = _scatter(moved, moved)
@@ -173,7 +174,7 @@ class Settled:
         for number, (free, lit) in enumerate(self._shots):
             scene, seen = free.at([float(value) for value in at]), self._lit_scene(free, at)
             factors = factors_of(seen, lit)
-            exposure = self._exposure(seen, factors, lit.images, number, at)
+            exposure = np.maximum(_lit_by(seen, factors, lit.images) + self._moved(number, at), 0.0)
             parts.append(Part(scene, factors, exposure, unclipped_gray(exposure, scene.camera.sensor), lit.basis))
         return Predicted(tuple(parts))
 
@@ -190,7 +191,13 @@ class Settled:
 
     def replicates(self, values: Array) -> Array:
         """Unclipped gray levels by each of the independent rays, shape (replicates, captures * rows, columns)."""
-        return np.stack([self._by(values, one) for one in range(self._count)])
+        shots = []
+        for number, (free, lit) in enumerate(self._shots):
+            scene, seen = free.at([float(value) for value in values]), self._lit_scene(free, values)
+            traced = lit.basis.images[:, : self._count].astype(np.float64)
+            exposure = np.maximum(_lit_by(seen, factors_of(seen, lit), traced) + self._moved(number, values), 0.0)
+            shots.append(unclipped_gray(exposure, scene.camera.sensor))
+        return np.concatenate(shots, axis=1)
 
     def errors(self, values: Array) -> Array:
         """The same, as far from their mean as that is known: more so where some of them tell what all go by."""
@@ -229,7 +236,8 @@ class Settled:
         weight = np.zeros(own.shape[1:])
         if len(self._rendered):
             weight = self._per_light(self.at(values)) * self._brighter(values)
-        return Grained(self._rendered, np.array(others, dtype=np.intp), self._changes, weight, moved, own)
+        away = ((values - self._place) / self._scales)[self._rendered]
+        return Grained(self._rendered, np.array(others, dtype=np.intp), self._changes, weight, moved, own, away)
 
     @property
     def _count(self) -> int:
@@ -239,32 +247,21 @@ class Settled:
         """Keys that need no renders."""
         return sorted(set(range(len(self._keys))) - set(self._rendered.tolist()))
 
-    def _by(self, values: Array, replicate: int) -> Array:
-        """Unclipped gray levels by one replicate."""
-        images = []
-        for number, (free, lit) in enumerate(self._shots):
-            scene, seen = free.at([float(value) for value in values]), self._lit_scene(free, values)
-            traced = lit.basis.images[:, replicate].astype(np.float64)
-            exposure = self._exposure(seen, factors_of(seen, lit), traced, number, values)
-            images.append(unclipped_gray(exposure, scene.camera.sensor))
-        return np.concatenate(images)
-
     def _lit_scene(self, free: FreeScene, values: Array) -> Scene:
         """The scene in whose light some values are seen: what keys that need renders change is in their slopes."""
         at = np.array(values, dtype=np.float64)
         at[self._rendered] = self._place[self._rendered]
         return free.at([float(value) for value in at])
 
-    def _exposure(self, scene: Scene, factors: Array, images: Array, number: int, values: Array) -> Array:
-        """Of one capture [J m^-2]."""
-        exposure = _lit_by(scene, factors, images)
-        if len(self._rendered):
-            rows = images.shape[1]
-            here = slice(number * rows, (number + 1) * rows)
-            shift = ((values - self._place) / self._scales)[self._rendered]
-            change = np.tensordot(shift, self._changes.mean(axis=1)[:, here], axes=1)
-            exposure = exposure + change * self._brighter_in(number, values)
-        return np.maximum(exposure, 0.0)
+    def _moved(self, number: int, values: Array) -> Array | float:
+        """What keys that need renders change of one capture [J m^-2]."""
+        if not len(self._rendered):
+            return 0.0
+        rows = self._shots[number][1].images.shape[1]
+        here = slice(number * rows, (number + 1) * rows)
+        shift = ((values - self._place) / self._scales)[self._rendered]
+        change = np.tensordot(shift, self._changes.mean(axis=1)[:, here], axes=1)
+        return np.asarray(change * self._brighter_in(number, values))
 
     def _brighter(self, values: Array) -> Array:
         """How many times brighter all is than where slopes were seen, shape (captures * rows, columns)."""

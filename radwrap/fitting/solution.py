@@ -15,7 +15,7 @@ from radwrap.fitting.captured import Captured
 from radwrap.fitting.covariance import GRAIN, PULLED, RANK, inverse_of
 from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
-from radwrap.fitting.settled import Grain, Grained, Settled
+from radwrap.fitting.settled import Grained, Settled
 from radwrap.fitting.steps import Weights, through_grain
 from radwrap.fitting.weights import Weighed, weighed
 
@@ -27,7 +27,6 @@ _ROUNDS: Final = 40  # of weights
 _STILL: Final = 1e-9  # expected deviations by which a round may still move the prediction, at most: the fit stands
 _ENOUGH: Final = 1e-2  # the same after the last round: weights of a pixel go to and fro
 _EVALUATIONS: Final = 100  # of one round
-_AS_MUCH: Final = 1e-2  # of a pixel's weight: by so little it may change, and the grain of slopes is the same
 _TOO_FAR: Final = 1e6  # of a key's scale, from where it begins: no value is sought there
 _CREEPS: Final = 2  # rounds one after the other that end nowhere
 # Singular values, over the largest, by which the first place is left: its slopes are those of the search, and only lead
@@ -219,16 +218,18 @@ def settle(
     against = _Against(near, tuple(captured), noise)
     shares = _shares(near)
     start = np.clip(begin, low, high)
-    grains = _Grains(near.grained(start), robust)
     values, rounds, moved = start, 0, np.inf
     while rounds < _ROUNDS and not moved < _STILL:
         rounds += 1
         weights = against.weights(values)
         left = against.left(values, weights)
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
-        slopes, grain = grains.of(weights, left, weight)
+        # Here, and not along slopes from where it begins: levels and the exposure multiply, and so does their error.
+        grained = near.grained(values)
+        slopes = grained.over(weights.used, weights.sigma / weight).slopes
+        # Where a pixel that is far off counts less, a little more of it pulls by the slope of its pull.
+        pull = grained.over(weights.used, weights.sigma / (_pulls(left) if robust else weight)).pull
         jacobian = against.slopes(values, weights) * weight[:, np.newaxis]
-        pull = grain.pull_at(values - start, scales)
         step = _step(jacobian, left * weight, slopes, pull, shares)
         # A key at its bound, which would be led beyond, is held.
         held = ((values <= low) & (step < 0)) | ((values >= high) & (step > 0))
@@ -238,7 +239,7 @@ def settle(
         moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
         values = tried
         _check_near(keys, (values - start) / scales)
-    return against.ended(values, rounds, converged=moved < _ENOUGH, robust=robust), grains.grained
+    return against.ended(values, rounds, converged=moved < _ENOUGH, robust=robust), grained
 
 
 def _check_near(keys: Sequence[FreeKey], away: Array) -> None:
@@ -257,28 +258,6 @@ def _runs_off(whither: str, key: str) -> ToleranceNotMet:
         where=key,
         remedy="nothing is best there: give the key bounds, KEY=low:high, or free fewer keys",
     )
-
-
-class _Grains:
-    """The grain that counts: that of the slopes which a step goes by, and what it has to do with the pull of pixels.
-
-    Where a pixel that is far off counts less, a little more of it pulls by the slope of its pull.
-    """
-
-    def __init__(self, grained: Grained, robust: bool) -> None:
-        self.grained, self._robust = grained, robust
-        self._known: tuple[Array, Array, Grain] | None = None
-
-    def of(self, weights: Weights, left: Array, weight: Array) -> tuple[Array, Grain]:
-        """Of slopes by some weights of the pixels, and of the pull; the last ones while pixels count nearly alike."""
-        counted = np.where(weights.used, 0.0, np.inf)
-        counted[weights.used] = weights.sigma / weight
-        if self._known is None or not np.allclose(counted, self._known[0], rtol=_AS_MUCH, atol=0):
-            slopes = pull = self.grained.over(weights.used, weights.sigma / weight)
-            if self._robust:
-                pull = self.grained.over(weights.used, weights.sigma / _pulls(left))
-            self._known = counted, slopes.slopes, pull
-        return self._known[1:]
 
 
 def _pulls(left: Array) -> Array:

@@ -204,7 +204,7 @@ def _ended(solved: Solution, errors: PredictionErrors) -> Ended:
     """Of light without any grain."""
     keys, own = solved.jacobian.shape[1], np.zeros((2, *solved.residual.shape))
     moved = np.zeros((keys, *own.shape))
-    grained = Grained(np.arange(0), np.arange(keys), moved[:0], own[0], moved, own)
+    grained = Grained(np.arange(0), np.arange(keys), moved[:0], own[0], moved, own, np.zeros(0))
     return Ended(solved, errors, grained)
 
 

@@ -507,3 +507,23 @@ def test_what_is_weak_moves_only_where_captures_pull(
     assert (pull > WEAK_PULL) == (apart > 0.1)
     # What is left of the pull is what noise may be, squared, over itself.
     assert gone == pytest.approx(1 - (WEAK_PULL / pull) ** 2 if moves else 0.0, abs=0.01)
+
+
+def test_an_end_does_not_hang_on_where_settling_begins(bench: Scene, basis: Basis) -> None:
+    """Levels and the exposure multiply: far from where it begins, the error of their rays has not gone along slopes."""
+    free = [*(LEVELS.replace("*", led) for led in "01"), EXPOSURE]
+    keys, prediction = begun(bench, basis, free)
+    images = basis.images.mean(axis=1, keepdims=True) * (
+        1 + 0.01 * generator(6).standard_normal((3, 12, 20, 24))
+    ).astype(np.float32)
+    traced = [SourceImages(basis.sources, images, 0)]
+    truth = np.array([key.value for key in keys.keys])
+    seen = taken(prediction.at(truth).unclipped, bench)
+    ends = []
+    for away in ([1.0, 1.0, 1.0], [1.6, 1.6, 0.65]):
+        near = Settled(prediction, keys.keys, truth * away, traced)
+        solved, _ = settle(keys.keys, near, [seen], None, robust=False, begin=truth * away)
+        assert solved.converged
+        ends.append(solved.values / truth)
+    assert ends[1] == pytest.approx(ends[0], abs=1e-6)
+    assert ends[0] == pytest.approx(1.0, abs=0.1)
