@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 COARSER: Final = 8.0  # times the fit's tolerance
 _WIDEST: Final = 1 / 4  # of the shorter side: the sigma of a Gaussian blur
 _NARROWEST: Final = 1.0  # px
+# Deviations of the whole image: so much it counts that a key has gone by its own value at one blur. Of what shows less,
+# a beam's width for one, images that do not lie on each other yet lead to infinity.
+_HELD: Final = 1.0
 _NOTHING: Final = 1e-6  # share of a blur's weight on pixels that count: such a mean is of none
 
 
@@ -51,10 +54,13 @@ def approached(
     scales = np.array([key.scale for key in keys])
     bounds = np.array([[key.low, key.high] for key in keys]).T
     values = begun
+    # A value of 0 without bounds, a pose's say, has no scale of its own.
+    own = [bool(key.value) or np.isfinite(key.high - key.low) for key in keys]
+    held_by = np.where(own, _HELD, 0.0)
     for width in _widths(min(captured[0].mean.shape)):
         blurred = _Blurred(prediction, tuple(captured), width, tolerance)
         if blurred.rms(values) > STILL:
-            values = through_grain(blurred, values, scales, bounds).values
+            values = through_grain(blurred, values, scales, bounds, held_by=held_by).values
     sharp = _Blurred(prediction, tuple(captured), 0.0, tolerance)
     return values if sharp.rms(values) < sharp.rms(begun) else begun
 

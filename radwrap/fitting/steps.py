@@ -72,7 +72,14 @@ class Arrived:
 
 
 def through_grain(
-    compared: Compared, values: Array, scales: Array, bounds: Array, *, robust: bool = False, grain: float = 1.0
+    compared: Compared,
+    values: Array,
+    scales: Array,
+    bounds: Array,
+    *,
+    robust: bool = False,
+    grain: float = 1.0,
+    held_by: Array | None = None,
 ) -> Arrived:
     """Step in the directions that stand out of the grain of the rays.
 
@@ -93,27 +100,33 @@ def through_grain(
         Whether single pixels that are far off count less.
     grain : float
         What the rays of the prediction are off by, in expected deviations.
+    held_by : ndarray, shape (keys,), optional
+        What it counts that a key has gone by its scale from where it begins, in expected deviations; default nothing.
     """
     damping, rounds = 0.0, 0
+    begun, held_by = values, np.zeros(len(values)) if held_by is None else held_by
     while rounds < _ROUNDS:
         rounds += 1
         weights = compared.weights(values)
         left = compared.left(values, weights)
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
         jacobian = compared.slopes(values, weights) * weight[:, np.newaxis]
-        sum_here = float(((left * weight) ** 2).sum())
-        led = _Directions.of(jacobian, left * weight)
+        jacobian = np.vstack([jacobian, np.diag(held_by)])
+        left = np.concatenate([left * weight, held_by * (begun - values) / scales])
+        sum_here = float((left**2).sum())
+        led = _Directions.of(jacobian, left)
         # A key at its bound, which would be led beyond, is held.
         step = led.step()
         held = ((values <= bounds[0]) & (step < 0)) | ((values >= bounds[1]) & (step > 0))
         if held.any():
             jacobian = np.where(held, 0.0, jacobian)
-            led = _Directions.of(jacobian, left * weight)
+            led = _Directions.of(jacobian, left)
         moved = float(np.linalg.norm(jacobian @ led.step()))
         hidden = moved < _ENOUGH * max(grain, 1.0)
         for _ in range(_FEW_TRIES if hidden else _TRIES):
             tried = np.clip(values + led.step(damping) * scales, bounds[0], bounds[1])
-            gain = sum_here - _sum(compared, tried, weights, weight)
+            away = float(((held_by * (begun - tried) / scales) ** 2).sum())
+            gain = sum_here - away - _sum(compared, tried, weights, weight)
             if gain > 0:
                 values, damping = tried, damping / _EASED if damping > _LEAST_DAMPING else 0.0
                 break

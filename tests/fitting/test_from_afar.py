@@ -29,6 +29,7 @@ from radwrap.scene.scene import Scene
 from tests.fitting.conftest import OPTIONS, changed, taken
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
+FAR: Final = 30.0  # times a value: nothing is to be found there
 PIXEL: Final = 2.0  # mm on the target: 50 um, 12.5 mm and 500 mm, to a hundredth
 BLUR: Final = 1.0  # px: sigma of an edge, or of a spot
 LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
@@ -233,3 +234,19 @@ def test_an_edge_seven_pixels_off_is_found_by_renders(bench: Scene) -> None:
     (key,) = found.keys
     assert found.converged and found.explained and key.sigma is not None
     assert abs(key.value - 15.0) < 4 * key.sigma < 0.2
+
+
+def test_a_key_that_hardly_shows_stays_near_the_scene(bench: Scene, basis: Basis) -> None:
+    """A key makes the image a little brighter, the farther it goes the less; the capture is brighter than any."""
+    free = free_scene(bench, ["camera.focal_length"])
+
+    def trace(scene: Scene) -> Basis:
+        less = bench.camera.focal_length / scene.camera.focal_length
+        shown = LEVEL * (_spot(0, 0) + 0.3 - 0.1 * less) / less**2  # of an opening that goes along
+        return replace(basis, images=np.broadcast_to(shown / 3, basis.images.shape).astype(np.float32))
+
+    prediction = Prediction([(free, Places(free, [True], trace))])
+    begin = free.keys[0].value
+    seen = taken(np.rint(prediction.at([begin]).unclipped) + 20.0, bench)
+    (found,) = approached(free.keys, prediction, [seen], 4.0)
+    assert begin < found < FAR * begin

@@ -70,3 +70,23 @@ def test_a_step_that_lowers_nothing_ends_the_fit_where_the_grain_hides_it(grain:
     values = np.array([5.0, 0.5 + 1e-2])
     arrived = through_grain(Decay(extra=1e3), values, np.ones(2), FREE, grain=grain)
     assert arrived.converged is ends and np.allclose(arrived.values, values)
+
+
+@pytest.mark.parametrize(("held_by", "gone"), [(0.0, 100.0), (1.0, 0.25 / 1.0025)])
+def test_a_key_that_hardly_shows_is_held_where_it_begins(held_by: float, gone: float) -> None:
+    """Of a scale it changes .05 deviations, and 5 are off: by least squares it goes 100 scales."""
+
+    class Weak:
+        def weights(self, values: Array) -> Weights:
+            return Weights(np.ones(2, dtype=np.bool_), np.ones(2))
+
+        def left(self, values: Array, weights: Weights) -> Array:
+            return np.array([7.0, 5.0]) - [values[0] - 1.0, 0.05 * (values[1] - 30.0) / 30.0]
+
+        def slopes(self, values: Array, weights: Weights) -> Array:
+            return np.diag([1.0, 0.05])
+
+    scales = np.array([1.0, 30.0])
+    arrived = through_grain(Weak(), np.array([1.0, 30.0]), scales, FREE, held_by=np.array([0.0, held_by]))
+    assert arrived.converged
+    assert arrived.values == pytest.approx([8.0, 30.0 * (1 + gone)], rel=1e-6)
