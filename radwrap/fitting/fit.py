@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.errors import InputError
+from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import check_not_others, check_results, make_folder, sole_owner
 from radwrap.fitting.approach import COARSER, approached
 from radwrap.fitting.captured import Captured, read_mask
@@ -25,7 +25,7 @@ from radwrap.fitting.free_keys import FreeKey, FreeScene, free_scene
 from radwrap.fitting.light import FEW, REPLICATES, Light
 from radwrap.fitting.page import FILES, RESIDUAL, write_fit
 from radwrap.fitting.places import Places, need_renders
-from radwrap.fitting.poses import aimed_keys
+from radwrap.fitting.poses import PREFIX, aimed_keys, mirrored_turns
 from radwrap.fitting.prediction import Prediction
 from radwrap.fitting.scene_text import text_of, with_values
 from radwrap.fitting.series import Captures, State, joined, states_of
@@ -33,7 +33,7 @@ from radwrap.fitting.settled import Grained, Settled
 from radwrap.fitting.solution import Solution, settle, solve
 from radwrap.fitting.suspects import Suspect, suspects
 from radwrap.fitting.told import Fit, FittedKey, as_manifest
-from radwrap.fitting.verdict import verdict
+from radwrap.fitting.verdict import Verdict, verdict
 from radwrap.fitting.weights import patterns
 from radwrap.images import GrayImage
 from radwrap.imaging.relight.relit import Basis
@@ -276,6 +276,61 @@ def ended(
     return Ended(solved, errors, grained)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrival:
+    """Where one way led to: an end, what is to be said of it, and rounds that it took."""
+
+    ended: Ended
+    verdict: Verdict
+    rounds: int
+
+    @property
+    def merit(self) -> tuple[bool, float]:
+        """The better, the larger: explained, and how far the sums stay below their limits."""
+        tests = [test for test in (self.verdict.pixels, self.verdict.blocks) if test is not None and test.is_judged]
+        worst = max((test.chi_square / test.largest for test in tests), default=0.0)
+        return self.verdict.explained, -worst
+
+
+def with_other_tilts(
+    free: FreeScene, first: Arrival, go: Callable[[Array | None], Arrival]
+) -> tuple[Arrival, list[dict[str, Any]]]:
+    """Begin again where an end is refused and a target's pose is free: it may be tilted as much the other way.
+
+    From afar both tilts look nearly alike, and no small step leads from one to the other.
+
+    Parameters
+    ----------
+    free : FreeScene
+        What is free.
+    first : Arrival
+        The end that was found.
+    go : callable
+        Leads from values to an end.
+
+    Returns
+    -------
+    Arrival, list
+        The better end, and of each new beginning its pose and whether it was kept.
+    """
+    best, told = first, []
+    for pose in free.poses:
+        if best.verdict.explained or not best.verdict.is_judged or not pose.is_target:
+            continue
+        values = best.ended.solved.values
+        scene = free.at([float(value) for value in values])
+        now = next(target.pose for target in scene.targets if target.name == pose.name)
+        turns = mirrored_turns(pose, now, scene.camera.pose.position)
+        begin = [turns.get(key.key, float(value)) for key, value in zip(free.keys, values, strict=True)]
+        try:
+            other = go(np.array(begin))
+        except (InputError, ToleranceNotMet):  # the scene is none there: nothing is lost
+            continue
+        told.append({"pose": f"{PREFIX}{pose.name}", "kept": other.merit > best.merit})
+        best = max(best, other, key=lambda one: one.merit)
+    return best, told
+
+
 def _shared(solved: Solution, noise: float | None) -> Shared | None:
     """What pixels of one specimen differ by, in all captures of several; None where each pixel is seen once."""
     parts = solved.predicted.parts
@@ -314,16 +369,22 @@ def _fitted(
         looks = [(less, _prediction(states, rendered, trace, rough=search)) for less, trace in more]
     prediction = _prediction(states, rendered, light.at if search else light.unbiased, rough=search, looks=looks)
     off = _ROUGHER * light.tolerance
-    sought = solve(free.keys, search or prediction, captures, noise, robust=robust, begin=begin.values, tolerance=off)
-    found = ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
-    solved, errors = found.solved, found.errors
-    used, sigma = solved.weighed.used, solved.weighed.sigma
     share = GRAIN if prediction.has_renders else RANK
-    sure = found.spread(share, _shared(solved, noise))
-    # The verdict counts all pixels alike.
-    alike = inverse_of(solved.jacobian, share, found.grain).basis
     numbers = [state.number for state in states]
-    judged = verdict(solved.residual, sigma, alike, errors, of_capture=numbers)
+
+    def go(begin: Array | None) -> Arrival:
+        sought = solve(free.keys, search or prediction, captures, noise, robust=robust, begin=begin, tolerance=off)
+        found = ended(free.keys, prediction, light, captures, sought.values, noise=noise, robust=robust)
+        end = found.solved
+        # The verdict counts all pixels alike.
+        alike = inverse_of(end.jacobian, share, found.grain).basis
+        judged = verdict(end.residual, end.weighed.sigma, alike, found.errors, of_capture=numbers)
+        return Arrival(found, judged, sought.rounds + end.rounds)
+
+    arrived, again = with_other_tilts(free, go(begin.values), go)
+    found, judged, solved = arrived.ended, arrived.verdict, arrived.ended.solved
+    used, sigma = solved.weighed.used, solved.weighed.sigma
+    sure = found.spread(share, _shared(solved, noise))
     parts = solved.predicted.parts
     looks_like = () if judged.explained or not judged.is_judged else _suspects(free.keys, found, share)
     scales = np.array([key.scale for key in free.keys])
@@ -356,7 +417,8 @@ def _fitted(
         "places": prediction.renders,
         "left_out": light.left_out,
         "converged": solved.converged,
-        "rounds": sought.rounds + solved.rounds,
+        "rounds": arrived.rounds,
+        "begun_again": again,
         "used_pixels": int(np.count_nonzero(used)),
         "censored_pixels": censored,
         "undetermined": words,

@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from radwrap.errors import InputError
-from radwrap.frames import Pose, fixed_axis_angles, multiply, rotation_about_fixed_axes, to_world
+from radwrap.frames import (
+    Pose,
+    Rotation,
+    Vector,
+    dot,
+    fixed_axis_angles,
+    multiply,
+    normalised,
+    rotation_about_fixed_axes,
+    subtract,
+    to_world,
+)
 from radwrap.reading import shortened
 from radwrap.scene.scene import Scene
 
@@ -39,6 +50,11 @@ class FreePose:
     pose: Pose
 
     @property
+    def is_target(self) -> bool:
+        """Whether it is a target that is seen, and neither a source nor the camera."""
+        return self.table.startswith("targets[")
+
+    @property
     def keys(self) -> tuple[str, ...]:
         """Names of the six numbers: shifts along its own axes [mm], turns about them [deg], the one about x first."""
         return tuple(f"{PREFIX}{self.name}.{part}" for part in (*SHIFTS, *TURNS))
@@ -54,6 +70,33 @@ class FreePose:
             f"{self.table}.rotation": [f"{value!r} rad" for value in angles],
             f"{self.table}.rotation_order": "xyz",
         }
+
+
+def mirrored_turns(pose: FreePose, now: Pose, camera: Vector) -> dict[str, float]:
+    """Turns [deg] by which a flat thing is tilted as much the other way.
+
+    From afar both look alike: of each point only the sign of its depth is another one.
+
+    Parameters
+    ----------
+    pose : FreePose
+        Whose turns they are.
+    now : Pose
+        Where the thing is.
+    camera : tuple of float, shape (3,)
+        From where it is seen [m].
+    """
+    sight = normalised(subtract(now.position, camera))
+    # Mirrored at a plane that faces the camera, and the normal turned back: of a flat thing that is a rotation.
+    axes = [_mirrored(axis, sight) for axis in (now.x_axis, now.y_axis, now.z_axis)]
+    rotation: Rotation = tuple((x, y, -z) for x, y, z in zip(*axes, strict=True))  # type: ignore[assignment]
+    begun: Rotation = (pose.pose.x_axis, pose.pose.y_axis, pose.pose.z_axis)  # local_from_world
+    return dict(zip(pose.keys[3:], map(math.degrees, fixed_axis_angles(multiply(begun, rotation))), strict=True))
+
+
+def _mirrored(axis: Vector, normal: Vector) -> Vector:
+    x, y, z = (part - 2 * dot(axis, normal) * along for part, along in zip(axis, normal, strict=True))
+    return x, y, z
 
 
 def free_pose(scene: Scene, document: dict[str, Any], name: str) -> FreePose:
