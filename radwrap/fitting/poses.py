@@ -88,6 +88,7 @@ def mirrored_turns(pose: FreePose, now: Pose, camera: Vector) -> dict[str, float
     """
     sight = normalised(subtract(now.position, camera))
     # Mirrored at a plane that faces the camera, and the normal turned back: of a flat thing that is a rotation.
+    # mypy does not know that rows and columns are three.
     axes = [_mirrored(axis, sight) for axis in (now.x_axis, now.y_axis, now.z_axis)]
     rotation: Rotation = tuple((x, y, -z) for x, y, z in zip(*axes, strict=True))  # type: ignore[assignment]
     begun: Rotation = (pose.pose.x_axis, pose.pose.y_axis, pose.pose.z_axis)  # local_from_world

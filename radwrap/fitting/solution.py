@@ -226,15 +226,15 @@ def settle(
         weight = (1 + left**2) ** -0.25 if robust else np.ones(left.size)
         # Here, and not along slopes from where it begins: levels and the exposure multiply, and so does their error.
         grained = near.grained(values)
-        slopes = grained.over(weights.used, weights.sigma / weight).slopes
+        grain = grained.over(weights.used, weights.sigma / weight)
         # Where a pixel that is far off counts less, a little more of it pulls by the slope of its pull.
-        pull = grained.over(weights.used, weights.sigma / (_pulls(left) if robust else weight)).pull
+        pulling = grained.over(weights.used, weights.sigma / _pulls(left)) if robust else grain
         jacobian = against.slopes(values, weights) * weight[:, np.newaxis]
-        step = _step(jacobian, left * weight, slopes, pull, shares)
+        step = _step(jacobian, left * weight, grain.slopes, pulling.pull, shares)
         # A key at its bound, which would be led beyond, is held.
         held = ((values <= low) & (step < 0)) | ((values >= high) & (step > 0))
         if held.any():
-            step = _step(np.where(held, 0.0, jacobian), left * weight, slopes, pull, shares)
+            step = _step(np.where(held, 0.0, jacobian), left * weight, grain.slopes, pulling.pull, shares)
         tried = np.clip(values + step * scales, low, high)
         moved = float(np.linalg.norm(jacobian @ ((tried - values) / scales)))
         values = tried
