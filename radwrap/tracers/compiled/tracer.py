@@ -195,7 +195,8 @@ class CompiledTracer:
                 stack,
             )
         self.memories.append(known_places)
-        if not np.isfinite(values.sum()) or values.min(initial=0.0) < 0:
+        # What is left of a wide light's half shadow is right in the mean, and of one ray perhaps below 0.
+        if not np.isfinite(values.sum()) or (values.min(initial=0.0) < 0 and not len(scene.wides)):
             raise TracerError("answered NaN, infinity or a negative radiance", where="the compiled tracer")
         return values, hits
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from radwrap.tracers.compiled.arithmetic import cosine_and_sine_of_turn
-from radwrap.tracers.compiled.arrays import LAMBERTIAN, WIDE_ZONE, Clusters, Floats, Nodes, Shapes, Whole, Wide
+from radwrap.tracers.compiled.arrays import LAMBERTIAN, WIDE_ZONE, Cluster, Clusters, Floats, Nodes, Shapes, Whole, Wide
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.wide_contour import Place
@@ -215,6 +215,29 @@ def lit_cells(light: Wide, number: int, cells: Clusters, p: Place) -> int:
         if aside * cosine - high * sine <= half:
             bits |= 1 << k
     return bits
+
+
+@compiled
+def cells_above(light: Wide, number: int, cells: Clusters, p: Place, n: Place) -> int:
+    """Bits of the cells of which any part may lie above a point's horizon; see `hiding_cells`."""
+    nx, ny, nz = abs(n[0]), abs(n[1]), abs(n[2])
+    middle = _height(light, p, n)
+    if middle >= (nx * (light.x1 - light.x0) + ny * (light.y1 - light.y0) + nz * (light.z1 - light.z0)) / 2:
+        return _ALL
+    bits, first = 0, number * ALL_CELLS + ALL_CELLS - CELLS * CELLS
+    for k in range(CELLS * CELLS):
+        box = cells[first + k]
+        half = (nx * (box.x1 - box.x0) + ny * (box.y1 - box.y0) + nz * (box.z1 - box.z0)) / 2
+        if _height(box, p, n) + half > 0:
+            bits |= 1 << k
+    return bits
+
+
+@compiled
+def _height(box: Cluster | Wide, p: Place, n: Place) -> float:
+    """Of a box's middle, above a point's horizon."""
+    x, y, z = (box.x0 + box.x1) / 2 - p[0], (box.y0 + box.y1) / 2 - p[1], (box.z0 + box.z1) / 2 - p[2]
+    return x * n[0] + y * n[1] + z * n[2]
 
 
 @compiled

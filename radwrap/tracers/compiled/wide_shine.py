@@ -16,7 +16,7 @@ from radwrap.tracers.compiled.arrays import (
     Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.wide_cells import bits_of, hiding_cells, lit_cells
+from radwrap.tracers.compiled.wide_cells import bits_of, cells_above, hiding_cells, lit_cells
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import MOST_POINTS, left_over
 from radwrap.tracers.compiled.wide_lobe import SAMPLES, sampled_lobe
@@ -99,7 +99,10 @@ def sent(
         bits = -1
     if whole > 0:
         lit = lit_cells(light, number, cells, p)
+        if cover.kind == NOTHING:
+            lit &= cells_above(light, number, cells, p, n)
         count = bits_of(bits & lit, chosen)
+        clear = bits_of(lit & ~bits, chosen[count:])
         value = left_over(
             light,
             cover,
@@ -117,7 +120,7 @@ def sent(
             itself,
             chosen,
             count,
-            bits & lit == lit,
+            clear,
             is_hiding,
             halvings,
             key,
