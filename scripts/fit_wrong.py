@@ -1,13 +1,18 @@
 """Wrong models of `radwrap fit`: how many scenes that cannot have made their capture it refuses.
 
     .venv/bin/python scripts/fit_wrong.py --cases 50 --seed 1 --out out/fit_wrong.json
+    .venv/bin/python scripts/fit_wrong.py --cases 10 --pose --out out/fit_wrong_pose.json
 
 Scenes are those of fit_twins.py with light and sensor free. The model lacks a source that shone, has another beam, its
 target elsewhere, a wrong gamma that is held, or no light between surfaces; how wrong it is, is drawn evenly in the
-logarithm. First the wrong model is fitted to what the camera gives without noise. What chi-square is left then, less
-the part that is expected of the prediction's own error, is what the best refit leaves. Where it is at least three
-expected deviations of the chi-square, sqrt(2 degrees of freedom), the case counts, and a frame with noise is fitted.
-Weaker ones are listed with their power: how often, by the laws of both sums, a frame would be refused.
+logarithm. With --pose the target is a board whose pose is free too, so that a refused fit begins again from its other
+tilt; what was moved is a patch before it, whose place is held. What another beam or light between surfaces changes
+there, levels and the pose do nearly as well, so that most of these cases are weak: --kinds draws some kinds only.
+
+First the wrong model is fitted to what the camera gives without noise. What chi-square is left then, less the part that
+is expected of the prediction's own error, is what the best refit leaves. Where it is at least three expected deviations
+of the chi-square, sqrt(2 degrees of freedom), the case counts, and a frame with noise is fitted. Weaker ones are listed
+with their power: how often, by the laws of both sums, a frame would be refused.
 """
 
 from __future__ import annotations
@@ -15,12 +20,14 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import radwrap
-from fit_twins import bench, done, edge, keys_of, truth_of
+from fit_twins import KINDS as KEYS
+from fit_twins import bench, board, done, edge, keys_of, truth_of
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.files import write_bytes
 from radwrap.fitting.free_keys import free_scene
@@ -60,8 +67,22 @@ def walls() -> list[dict[str, Any]]:
     ]
 
 
+def patch() -> dict[str, Any]:
+    """A bright square before the middle of a board, whose tilts and shifts do not reach it."""
+    return {
+        "type": "sheet",
+        "name": "patch",
+        "material": "white",
+        "size": ["6 mm", "6 mm"],
+        "position": ["4 mm", "4 mm", "30 mm"],
+    }
+
+
 def pair(tables: dict[str, Any], kind: str, amount: float, sign: float) -> tuple[radwrap.Scene, radwrap.Scene]:
-    """The scene that is captured, but for its free keys, and the one that the user believes in."""
+    """The scene that is captured, but for its free keys, and the one that the user believes in.
+
+    What is moved is the last of the targets.
+    """
     if kind == "bounces left out":
         walled = {**tables, "targets": [*tables["targets"], *walls()]}
         walled["materials"] = {**tables["materials"], "wall": {"type": "lambertian", "reflectance": amount}}
@@ -75,7 +96,9 @@ def pair(tables: dict[str, Any], kind: str, amount: float, sign: float) -> tuple
     if kind == "another beam":
         return scene, set_to("sources[0].beam.width", f"{30 * math.exp(sign * amount)!r} deg")
     if kind == "target moved":
-        return set_to("targets[0].position", [f"{sign * amount!r} mm", "0 mm", "0 mm"]), scene
+        last, (x, *others) = len(tables["targets"]) - 1, tables["targets"][-1].get("position", ["0 mm"] * 3)
+        moved = float(x.split()[0]) + sign * amount
+        return set_to(f"targets[{last}].position", [f"{moved!r} mm", *others]), scene
     return scene, set_to("camera.sensor.gamma", math.exp(sign * amount))
 
 
@@ -86,16 +109,20 @@ def power(test: Test, left: float) -> float:
     return float(ncx2(test.freedom, left + test.prediction).sf(test.largest)) if test.is_judged else 0.0
 
 
-def case(number: int, seed: int, tolerance: float) -> dict[str, Any]:
+def case(number: int, seed: int, tolerance: float, *, pose: bool, kinds: Sequence[str]) -> dict[str, Any]:
     """One scene, one wrong model."""
     random = generator(seed, number, _STREAM)
-    kind = list(KINDS)[number % len(KINDS)]
+    kind = kinds[number % len(kinds)]
     low, high = KINDS[kind]
     amount = low * (high / low) ** float(random.random())
     sign = math.copysign(1.0, random.random() - 0.5)
-    tables = bench(random, {**edge(random), "name": "target", "material": "black"})
+    tables = bench(random, {**(board if pose else edge)(random), "name": "target", "material": "black"})
+    if pose:
+        tables["targets"].append(patch())
     right, wrong = pair(tables, kind, amount, sign)
-    truth = truth_of(random, renders=False, is_board=False)
+    truth = truth_of(random, renders=pose, is_board=pose)
+    for key in (*KEYS["beam width"], *KEYS["reflectance"]):  # what a model is wrong in must not be free
+        truth.pop(key, None)
     free = free_scene(right, keys_of(truth))
     captured = free.at([truth[key.key] for key in free.keys])
     own = 10_000 * (seed + 1) + number
@@ -133,7 +160,8 @@ def case(number: int, seed: int, tolerance: float) -> dict[str, Any]:
     }
     if told["counts"]:
         frame = noisy_frame(made.radiant_exposure, sensor, fixed_pattern(sensor), own, 0)
-        told["refused"] = not radwrap.fit(wrong, [frame], keys_of(truth), options=options).explained
+        found = radwrap.fit(wrong, [frame], keys_of(truth), options=options)
+        told["refused"], told["begun_again"] = not found.explained, found.manifest["begun_again"]
     return told
 
 
@@ -155,6 +183,7 @@ def summary(cases: list[dict[str, Any]]) -> dict[str, Any]:
             if not one["counts"] and "ended" not in one
         ],
         "without_an_end": [one for one in cases if "ended" in one],
+        "begun_again": sum(bool(one["begun_again"]) for one in counted),
     }
 
 
@@ -162,14 +191,16 @@ def main() -> int:
     """Draw cases until so many count; exit code 1 where fewer than 47 of 50 are refused."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", type=int, default=50, help="that count")
+    parser.add_argument("--pose", action="store_true", help="of a board whose pose is free too")
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS), help="in turn (default all)")
     parser.add_argument("--tolerance", type=float, default=0.5, help="of the fits [gray level]")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", help="file for the numbers")
     asked = parser.parse_args()
-    what = {"seed": asked.seed, "tolerance": asked.tolerance}
+    what = {"seed": asked.seed, "tolerance": asked.tolerance, "pose": asked.pose, "kinds": asked.kinds}
     cases = done(asked.out, what)
     while sum(one["counts"] for one in cases) < asked.cases:
-        one = case(len(cases), asked.seed, asked.tolerance)
+        one = case(len(cases), asked.seed, asked.tolerance, pose=asked.pose, kinds=asked.kinds)
         cases.append(one)
         verdict = (
             "without an end"

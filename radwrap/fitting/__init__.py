@@ -8,7 +8,7 @@ The data's way::
     -> gray levels of any values                              prediction
     noise, rounding, saturated and dark pixels                weights
     from far to near, in steps that a grain does not stop     approach, steps, solution
-    -> values, by one image of unbiased rays there            settled
+    -> values, by one image of unbiased rays there            settled, rays_needed
     -> covariance and what is not determined                  covariance, directions
     -> does the scene explain the captures, and where not     verdict
     -> what they look like, if it does not                    suspects

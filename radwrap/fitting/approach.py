@@ -6,6 +6,7 @@ so. The widest blur is a share of the image; each further one is half as wide, a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -55,15 +56,21 @@ def approached(
     scales = np.array([key.scale for key in keys])
     bounds = np.array([[key.low, key.high] for key in keys]).T
     values = begun
-    # A value of 0 without bounds, a pose's say, has no scale of its own.
-    own = [bool(key.value) or np.isfinite(key.high - key.low) for key in keys]
-    held_by = np.where(own, _HELD, 0.0)
+    held_by = np.array([_held(key) for key in keys])
     for width in _widths(min(captured[0].mean.shape)):
         blurred = _Blurred(prediction, tuple(captured), width, tolerance)
         if blurred.rms(values) > STILL:
             values = through_grain(blurred, values, scales, bounds, held_by=held_by).values
     sharp = _Blurred(prediction, tuple(captured), 0.0, tolerance)
     return values if sharp.rms(values) < sharp.rms(begun) else begun
+
+
+def _held(key: FreeKey) -> float:
+    """What it counts that a key has gone by its scale, in deviations of the whole image."""
+    if key.value or np.isfinite(key.high - key.low):
+        return _HELD
+    # A value of 0 without bounds, a pose's say, has no scale of its own; a turn has, as it comes to its begin again.
+    return _HELD * math.radians(1.0) if key.unit == "deg" else 0.0
 
 
 def _widths(side: int) -> Iterator[float]:

@@ -157,6 +157,14 @@ def lengths(jacobian: Array) -> Array:
     return np.where(lengths > _NOTHING * float(lengths.max(initial=0.0)), lengths, np.inf)
 
 
+def shown(jacobian: Array, rank_share: float = RANK) -> Array:
+    """A Jacobian without what the last digits of predictions show: a solver takes that for a way, and goes it far."""
+    scale = lengths(jacobian)
+    left, singular, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    singular[singular <= rank_share * float(singular.max(initial=0.0))] = 0.0
+    return np.asarray((left * singular) @ right * np.where(np.isfinite(scale), scale, 0.0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Inverse:
     """How keys answer to what is left, in the directions that stand out of the grain of the slopes.
@@ -224,6 +232,7 @@ def spread(
     grain: Array | None = None,
     *,
     variance: Array | None = None,
+    left: Array | float = 0.0,
 ) -> Spread:
     """Find it from a weighted Jacobian.
 
@@ -239,6 +248,8 @@ def spread(
         Noise that captures have in common.
     variance : ndarray, shape (pixels,), optional
         Of what is left by noise, over sigma; default 1.
+    left : ndarray, shape (pixels,), optional
+        Of the captures, over sigma: it says how far off the values are at least along what is not determined.
     """
     from scipy.stats import norm, t
 
@@ -256,23 +267,27 @@ def spread(
         (norm.ppf(0.5 + SURE / 2) ** 2) * np.diag(noise) + (t.ppf(0.5 + SURE / 2, freedom) ** 2) * np.diag(prediction)
     )
     touched = np.sqrt((found.undetermined**2).sum(axis=0)) > max(_TOUCHED, _UNSURE * rank_share)
-    touched |= _leaning(jacobian / scale, found.undetermined, rank_share) * scale**-2.0 > _NEGLIGIBLE * np.diag(
-        noise + prediction
-    )
+    leaning = _leaning(jacobian / scale, found.undetermined, rank_share, left) * scale**-2.0
+    touched |= leaning > _NEGLIGIBLE * np.diag(noise + prediction)
     half = np.where(touched, np.nan, half + bound)
     return Spread(noise, prediction, freedom, bound, half, found.basis.shape[1], null, found.basis)
 
 
-def _leaning(jacobian: Array, undetermined: Array, rank_share: float) -> Array:
+def _leaning(jacobian: Array, undetermined: Array, rank_share: float, left: Array | float) -> Array:
     """Variance that keys have by directions that are not determined, at least, shape (keys,).
 
     A key with a small share of a direction still goes along with it, as far as nobody knows. The steepness that shows
-    there is grain, more than half of it: the square of the true one is at most half of that.
+    there is grain, more than half of it: the square of the true one is at most half of that. No fit goes along it, so
+    where the captures pull by several deviations, the values are off by as many.
     """
     floor = rank_share * float(np.linalg.norm(jacobian, 2)) if jacobian.size else 0.0
-    shown = np.maximum(np.linalg.norm(jacobian @ undetermined.T, axis=0), floor)
+    images = jacobian @ undetermined.T
+    seen = np.linalg.norm(images, axis=0)
+    shown = np.maximum(seen, floor)
     shown[shown == 0] = np.inf  # where nothing shows at all, each key lies in such a direction anyway
-    return np.asarray(((undetermined / shown[:, np.newaxis]) ** 2).sum(axis=0) / (1 - MOST_GRAIN))
+    pulled = (images * np.reshape(left, (-1, 1))).sum(axis=0) / np.where(seen > 0, seen, np.inf)
+    off = np.maximum(np.abs(pulled), 1.0) / shown
+    return np.asarray(((undetermined * off[:, np.newaxis]) ** 2).sum(axis=0) / (1 - MOST_GRAIN))
 
 
 def _complement(determined: Array, keys: int) -> Array:

@@ -26,7 +26,7 @@ def in_words(null: Array, keys: Sequence[str], values: Array, scales: Array) -> 
     values, scales : ndarray, shape (keys,)
         In the keys' units.
     """
-    return [_sentence(direction * scales, keys, values) for direction in reduced(null)]
+    return [_sentence(direction * scales, keys, values, scales) for direction in reduced(null)]
 
 
 def reduced(null: Array) -> Array:
@@ -48,8 +48,9 @@ def reduced(null: Array) -> Array:
     return rows
 
 
-def _sentence(change: Array, keys: Sequence[str], values: Array) -> str:
-    size = np.abs(change / np.where(values, np.abs(values), 1.0))
+def _sentence(change: Array, keys: Sequence[str], values: Array, scales: Array) -> str:
+    # A value may have come to nearly nothing: a change of it is then not larger than all others.
+    size = np.abs(change / np.maximum(np.abs(values), scales))
     parts = [number for number in np.argsort(-size, kind="stable") if size[number] > _ZERO * size.max()]
     parts.sort()
     names = [keys[number] for number in parts]

@@ -27,6 +27,7 @@ from radwrap.fitting.page import FILES, RESIDUAL, write_fit
 from radwrap.fitting.places import Places, need_renders
 from radwrap.fitting.poses import PREFIX, aimed_keys, mirrored_turns
 from radwrap.fitting.prediction import Prediction
+from radwrap.fitting.rays_needed import rays_needed
 from radwrap.fitting.scene_text import text_of, with_values
 from radwrap.fitting.series import Captures, State, joined, states_of
 from radwrap.fitting.settled import Grained, Settled
@@ -56,9 +57,10 @@ _ROUGHEST: Final = 4.0  # times as large cells, from afar
 _ROUGHER: Final = 2.0  # the same near the end
 _MORE: Final = REPLICATES / FEW  # times less is grain, by squares
 _FINER: Final = 6.0  # the same by cells that are not so large: 3 to 10 on six scenes
-_FEWER: Final = 4  # times fewer rays at the first of these places
-_PLACES: Final = 6  # at most, where it is looked for the end by unbiased rays
-_ARRIVED: Final = 0.1  # expected deviations: by so little a last step is off
+_FEWER: Final = 4  # times fewer rays at the first of these places, and while steps lead beyond what slopes reach
+_FEW_PLACES: Final = 12  # at most, by so few rays
+_PLACES: Final = 6  # at most by all rays, where it is looked for the end
+_ARRIVED: Final = 0.1  # expected deviations along each direction: a last step adds a hundredth to their square
 _SLOPE_OFF: Final = 0.1  # of a step, by the grain that slopes of few rays may have
 PACKAGES: Final = ("tomlkit",)
 
@@ -227,6 +229,7 @@ class Ended:
             None if shared is None else shared.over(weight),
             self.grained.over(used, solved.weighed.sigma[used] / weight).slopes,
             variance=solved.variance,
+            left=solved.residual[used] * weight,
         )
 
 
@@ -247,25 +250,31 @@ def ended(
     place, scales = begin, np.array([key.scale for key in keys])
     before: Settled | None = None
     bases: list[Basis | SourceImages | None] = [None] * len(prediction.places)
-    last = 0
-    # Where renders are compared, few rays first: a step from there is short.
-    for share in (_FEWER, *[1] * _PLACES) if prediction.has_renders else [1]:
+    needed: list[NDArray[np.intp] | None] = [None] * len(prediction.places)
+    # Where renders are compared, few rays first, by the slopes of the search: a step from there is short.
+    last, whole, few = 0, 0, 0
+    share = _FEWER if prediction.has_renders else 1
+    while whole < _PLACES:
         traced = [
-            light.unbiased(places.scene(place), share, nearby if share == last else None)
+            light.unbiased(places.scene(place), share, nearby if share == last else None, rays if share == 1 else None)
             if prediction.has_renders
             else places.lit(place).basis
-            for places, nearby in zip(prediction.places, bases, strict=True)
+            for places, nearby, rays in zip(prediction.places, bases, needed, strict=True)
         ]
+        may_end = share == 1 or before is not None
         bases, last = [*traced], share
-        before = near = Settled(prediction, keys, place, traced, before, is_last=share == 1)
+        before = near = Settled(prediction, keys, place, traced, before, is_last=may_end)
         solved, grained = settle(keys, near, captures, noise, robust=robust, begin=place)
-        way = (solved.values - place) / scales
-        bent = near.bent(solved.values)
-        # No farther than slopes reach: along what is hardly seen they may lead anywhere.
-        place = place + (solved.values - place) / max(bent, 1.0)
+        if share > 1:
+            needed = rays_needed(prediction, traced, near, solved, grained, aimed=light.aimed, share=share)
+        way, bent = solved.values - place, near.bent(solved.values)
         off = bent + _SLOPE_OFF if prediction.has_renders else 0.0
-        if share == 1 and off * float(np.linalg.norm(solved.jacobian @ way)) < _ARRIVED:
+        if share == 1 and off * _gone(solved, grained, way / scales) < _ARRIVED:
             break
+        # No farther than slopes reach: along what is hardly seen they may lead anywhere.
+        place = place + way / max(bent, 1.0)
+        whole, few = whole + (share == 1), few + (share > 1)
+        share = _FEWER if bent > 1 and few < _FEW_PLACES else 1
     else:  # it still goes elsewhere
         solved = replace(solved, converged=False)
     if not near.reaches(solved.values):
@@ -274,6 +283,13 @@ def ended(
     sigma = solved.weighed.sigma[used]
     errors = PredictionErrors(near.errors(solved.values)[:, used] / sigma, near.common(solved.predicted)[used] / sigma)
     return Ended(solved, errors, grained)
+
+
+def _gone(solved: Solution, grained: Grained, way: Array) -> float:
+    """How far a step goes along each direction that the captures determine, rms, in expected deviations."""
+    used = solved.weighed.used
+    found = inverse_of(solved.jacobian, GRAIN, grained.over(used, solved.weighed.sigma[used]).slopes)
+    return float(np.linalg.norm(solved.jacobian @ way)) / math.sqrt(max(found.basis.shape[1], 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,8 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radwrap.errors import EnvironmentFailure, InputError
 from radwrap.imaging.demand import FEWEST, SamplingPlan
+from radwrap.imaging.demand import REPLICATES as TOLD_BY
 from radwrap.imaging.methods.rays import ORDER
 from radwrap.imaging.relight.relit import Basis, read_basis
 from radwrap.imaging.relight.source_images import AimedRays, SourceImages, source_images, suffice
@@ -75,6 +79,11 @@ class Light:
         """Of each image [gray level]."""
         return self._options.demand.tolerance
 
+    @property
+    def aimed(self) -> AimedRays:
+        """Of the unbiased image that the answer is told by."""
+        return AimedRays(AIM_SHARE * self.tolerance, TOLD_BY)
+
     def roughly(self, scene: Scene, times: float, replicates: int) -> Basis | SourceImages:
         """The same by few rays: by cells so many times as large, and no larger than a pixel unless they were."""
         known = self._options.sampling
@@ -92,7 +101,13 @@ class Light:
         plan = None if known is None else replace(known, replicates=replicates)
         return self._basis(scene, replace(self._options, sampling=plan))
 
-    def unbiased(self, scene: Scene, share: int = 1, near: Basis | SourceImages | None = None) -> Basis | SourceImages:
+    def unbiased(
+        self,
+        scene: Scene,
+        share: int = 1,
+        near: Basis | SourceImages | None = None,
+        needed: NDArray[np.intp] | None = None,
+    ) -> Basis | SourceImages:
         """The basis of a scene by other rays, over pixel and opening: no cell and no model of a kernel is in it.
 
         Parameters
@@ -103,6 +118,8 @@ class Light:
             It keeps the tolerance, or is by one of so many rays of what that takes.
         near : Basis or SourceImages, optional
             The same of another scene nearly there: it is enough to trace some of its rays again.
+        needed : ndarray of int, shape (rows, columns), optional
+            Rays of each pixel, where that is known.
         """
         if self._pilot is None:
             self._pilot = self._looked_at(scene, self._options)
@@ -110,11 +127,12 @@ class Light:
         plan = strictest([self._pilot], demand)
         fewer = replace(plan, rays=max(FEWEST, (plan.rays or 1) // share))
         options = replace(self._options, method="rays", sampling=fewer)
-        options = replace(options, seed=(options.seed + _SEED_STEP) % 2**63)
+        # Rays of few say how many a pixel needs: none of them is among these.
+        options = replace(options, seed=(options.seed + share * _SEED_STEP) % 2**63)
         # Its rays are compared with those of no other plan: where nothing but rays is asked for, they are aimed.
-        aimed = AimedRays(AIM_SHARE * demand.tolerance, plan.replicates if share == 1 else REPLICATES)
+        aimed = self.aimed if share == 1 else replace(self.aimed, replicates=REPLICATES)
         rms = aimed.rms * share**ORDER
-        numbers = near.numbers if isinstance(near, SourceImages) else None
+        numbers = near.numbers if isinstance(near, SourceImages) else needed
         if isinstance(near, SourceImages) and numbers is not None:
             some = self._basis(scene, options, AimedRays(rms, AGAIN, numbers))
             if isinstance(some, SourceImages) and (carried := near.carried(some)) is not None:

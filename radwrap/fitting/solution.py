@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from radwrap.errors import InputError, ToleranceNotMet
 from radwrap.fitting.captured import Captured
-from radwrap.fitting.covariance import GRAIN, PULLED, RANK, inverse_of
+from radwrap.fitting.covariance import GRAIN, PULLED, RANK, inverse_of, shown
 from radwrap.fitting.free_keys import FreeKey
 from radwrap.fitting.prediction import Predicted, Prediction
 from radwrap.fitting.settled import Grained, Settled
@@ -147,7 +147,7 @@ def solve(
         rounds += 1
         counted = against.weighed(prediction.at(x * scales))
         used, sigma = counted.used, counted.sigma[counted.used]
-        measured = against.mean[used]
+        measured = (against.mean - counted.rounded)[used]
 
         def misfit(
             at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma, measured: Array = measured
@@ -160,7 +160,7 @@ def solve(
             return np.asarray((predicted.unclipped[used] - measured) / sigma)
 
         def slopes(at: Array, used: NDArray[np.bool_] = used, sigma: Array = sigma) -> Array:
-            return np.asarray((prediction.slopes(at * scales)[:, used] / sigma).T)
+            return shown((prediction.slopes(at * scales)[:, used] / sigma).T)
 
         found = least_squares(
             misfit,
@@ -311,17 +311,21 @@ class _Against:
                 remedy="capture with another exposure time, or begin with other values",
             )
         return Weighed(
-            *(np.concatenate([getattr(one, name) for one in found]) for name in ("sigma", "used", "censored"))
+            *(
+                np.concatenate([getattr(one, name) for one in found])
+                for name in ("sigma", "used", "censored", "rounded")
+            )
         )
 
     def weights(self, values: Array) -> Weights:
         """Of the used pixels, for `through_grain`."""
         counted = self.weighed(self.prediction.at(values))
-        return Weights(counted.used, counted.sigma[counted.used])
+        return Weights(counted.used, counted.sigma[counted.used], counted.rounded[counted.used])
 
     def left(self, values: Array, weights: Weights) -> Array:
         """(captured - predicted)/sigma of the used pixels."""
-        return np.asarray((self.mean - self.prediction.at(values).unclipped)[weights.used] / weights.sigma)
+        left = (self.mean - self.prediction.at(values).unclipped)[weights.used]
+        return np.asarray((left - weights.rounded) / weights.sigma)
 
     def slopes(self, values: Array, weights: Weights) -> Array:
         """Change of the prediction with each key's scale, over sigma, shape (pixels, keys)."""
@@ -331,6 +335,7 @@ class _Against:
         """Where a fit came to."""
         predicted = self.prediction.at(values)
         counted = self.weighed(predicted)
-        residual = np.where(counted.used, (self.mean - predicted.unclipped) / counted.sigma, np.nan)
+        left = self.mean - predicted.unclipped - counted.rounded
+        residual = np.where(counted.used, left / counted.sigma, np.nan)
         jacobian = (self.prediction.slopes(values)[:, counted.used] / counted.sigma[counted.used]).T
         return Solution(values, predicted, counted, residual, jacobian, converged, rounds, robust)

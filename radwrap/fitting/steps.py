@@ -33,10 +33,13 @@ class Weights:
         Pixels with a residual.
     sigma : ndarray, shape (pixels,)
         Expected deviations of the used ones [gray level].
+    rounded : ndarray, shape (pixels,), or float
+        What rounding is expected to add to the prediction of each [gray level].
     """
 
     used: NDArray[np.bool_]
     sigma: Array
+    rounded: Array | float = 0.0
 
 
 class Compared(Protocol):
@@ -78,7 +81,7 @@ def through_grain(
     bounds: Array,
     *,
     robust: bool = False,
-    grain: float = 1.0,
+    grain: float = 0.0,
     held_by: Array | None = None,
 ) -> Arrived:
     """Step in the directions that stand out of the grain of the rays.
@@ -99,11 +102,11 @@ def through_grain(
     robust : bool
         Whether single pixels that are far off count less.
     grain : float
-        What the rays of the prediction are off by, in expected deviations.
+        What the rays of the prediction are off by, in expected deviations: a step of less than that is the last one.
     held_by : ndarray, shape (keys,), optional
         What it counts that a key has gone by its scale from where it begins, in expected deviations; default nothing.
     """
-    damping, rounds = 0.0, 0
+    damping, rounds, still = 0.0, 0, max(STILL, grain)
     begun, held_by = values, np.zeros(len(values)) if held_by is None else held_by
     while rounds < _ROUNDS:
         rounds += 1
@@ -133,7 +136,7 @@ def through_grain(
             damping = max(damping * _RAISED, _LEAST_DAMPING)
         else:
             return Arrived(values, rounds, converged=hidden)
-        if moved < STILL or gain < STILL**2:
+        if moved < still or gain < still**2:
             return Arrived(values, rounds, converged=True)
     return Arrived(values, rounds, converged=False)
 

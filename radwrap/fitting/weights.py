@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 NEAR: Final = 3.0
 FAR: Final = 6.0
+# Gray levels: of less noise than this a level that is rounded says nothing of most of what lies between two levels, and
+# steps by what it says would no longer come to an end.
+_LEAST_DITHER: Final = 0.2
+_HARMONICS: Final = 3  # of a rounding error: by that much noise the next one is below 1e-7 of a level
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,11 +41,14 @@ class Weighed:
         Pixels with a residual.
     censored : ndarray of bool
         Of the pixels that count those that only say "at least" or "at most", and agree.
+    rounded : ndarray
+        What rounding is expected to add to the prediction [gray level].
     """
 
     sigma: Array
     used: Flags
     censored: Flags
+    rounded: Array
 
 
 def check_noise(sensor: Sensor, noise: float | None, repeats: int) -> None:
@@ -52,6 +59,27 @@ def check_noise(sensor: Sensor, noise: float | None, repeats: int) -> None:
             where="noise",
             remedy="give the standard deviation of one capture, several captures, or a linear sensor",
         )
+
+
+def rounding_error(gray: Array, deviation: Array) -> Array:
+    """Mean error of whole gray levels, where noise scatters them: E[round(x + n)] - x for normal n.
+
+    Sum over k of (-1)^k sin(2 pi k x) exp(-2 pi^2 k^2 sigma^2)/(pi k) (B. Widrow, I. Kollar, Quantization Noise, 2008).
+    Pixels of one level have it in common: what is far from white in a background is not gone by counting many.
+    """
+    spread = np.maximum(deviation, _LEAST_DITHER)
+    found = np.zeros(np.broadcast(gray, spread).shape)
+    for k in range(1, _HARMONICS + 1):
+        found += (-1) ** k * np.sin(2 * np.pi * k * gray) * np.exp(-2 * (np.pi * k * spread) ** 2) / (np.pi * k)
+    return found
+
+
+def _of_one(exposure: Array, captured: Captured, sensor: Sensor, noise: float | None) -> Array:
+    """Variance of one capture before it is rounded, by a specimen that is not known [gray level^2]."""
+    if noise is not None:
+        return np.full(exposure.shape, noise**2)
+    known = captured.variance if sensor.linear is None else noise_variance(exposure, sensor)
+    return np.maximum((0.0 if known is None else known) - ROUNDING_VARIANCE, 0.0)
 
 
 def variance_of(exposure: Array, captured: Captured, sensor: Sensor, noise: float | None) -> Array:
@@ -108,14 +136,18 @@ def weighed(exposure: Array, unclipped: Array, captured: Captured, sensor: Senso
     InputError
         If nothing is known of the noise, or it is 0.
     """
-    variance = variance_of(np.minimum(exposure, _below(exposure, sensor)), captured, sensor, noise)
+    uncut = np.minimum(exposure, _below(exposure, sensor))
+    variance = variance_of(uncut, captured, sensor, noise)
     if not (variance > 0).all():
         raise InputError("is 0: no residual can be judged", where="noise", remedy="give the noise of one capture")
     sigma = np.sqrt(variance)
     high, low = sensor.saturation_gray, floor_gray(sensor)
     at_top, at_bottom = unclipped > high - NEAR * sigma, unclipped < low + NEAR * sigma
     agrees = (at_top & (captured.mean > high - FAR * sigma)) | (at_bottom & (captured.mean < low + FAR * sigma))
-    return Weighed(sigma, captured.mask & ~agrees, captured.mask & agrees)
+    rounded = np.zeros(exposure.shape)
+    if sensor.rounding:
+        rounded = rounding_error(unclipped, np.sqrt(_of_one(uncut, captured, sensor, noise)))
+    return Weighed(sigma, captured.mask & ~agrees, captured.mask & agrees, rounded)
 
 
 def _below(exposure: Array, sensor: Sensor) -> float:

@@ -34,6 +34,7 @@ FEW: Final = 8
 SOME: Final = 20  # pixels of 480
 # 20 normal errors scatter by a factor in this range but for 1 of 1000 times (chi-square of 19).
 SCATTER: Final = (0.48, 1.53)
+SAME_PART: Final = 1e-2  # ten times what is seen: the solver's steps are shorter towards a bound
 SIGMAS: Final = 4.0  # of a single number: 1 of 16000 is missed
 
 
@@ -53,6 +54,7 @@ def _noisy(bench: Scene, basis: Basis, free: list[str], values: list[float], see
 
 
 def test_a_level_is_weighted_linear_least_squares(bench: Scene, basis: Basis) -> None:
+    bench = changed(bench, {"camera.sensor.rounding": False})  # what it adds to levels is not linear
     keys, prediction = begun(bench, basis, ["sources[0].radiance"])
     truth = prediction.at([3000.0])
     noise = generator(3, 1).standard_normal(truth.exposure.shape)
@@ -114,6 +116,29 @@ def test_a_key_without_effect_is_named() -> None:
     assert np.isnan(found.half_width).tolist() == [False, True]
     (told,) = in_words(found.null, ["a", "b"], np.ones(2), np.ones(2))
     assert told == "b changes nothing that the captures show"
+
+
+@pytest.mark.parametrize("seed", range(FEW))
+def test_no_value_wanders_along_what_does_not_show(bench: Scene, basis: Basis, seed: int) -> None:
+    """Dark current and offset are one number: both take the same part of what it is off by, however the noise falls."""
+    dark = changed(bench, {"camera.sensor.dark_current": "100 e/s"})
+    keys, prediction = begun(dark, basis, ["camera.sensor.dark_current", "camera.sensor.offset"])
+    begin = prediction.at([key.value for key in keys.keys])
+    noise = np.sqrt(noise_variance(begin.exposure, dark.camera.sensor))
+    seen = np.rint(begin.unclipped + 0.5 + noise * generator(seed, 4).standard_normal(noise.shape))
+    solved = solve(keys.keys, prediction, [taken(seen, dark)], None, robust=False)
+    current, offset = solved.values - [key.value for key in keys.keys]
+    per_current = 0.02 * dark.camera.exposure_time  # gray levels of an electron each second
+    assert solved.converged and offset > 0.1
+    assert current * per_current == pytest.approx(offset, rel=SAME_PART)
+
+
+def test_a_value_that_came_to_nothing_still_has_a_part() -> None:
+    """Dark current of 100 e/s to begin with, and none where the fit ends: a change of it is not beyond all others."""
+    null = np.array([[-25.0, 1.0]]) / np.sqrt(626)
+    for value in (0.0, 1e-9, 0.02, 100.0):
+        (told,) = in_words(null, ["a", "b"], np.array([value, 5.0]), np.array([100.0, 5.0]))
+        assert "a and b only together" in told, value
 
 
 def test_the_predictions_error_goes_through_the_fit_as_one_image() -> None:

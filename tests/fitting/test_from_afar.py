@@ -34,6 +34,8 @@ PIXEL: Final = 2.0  # mm on the target: 50 um, 12.5 mm and 500 mm, to a hundredt
 BLUR: Final = 1.0  # px: sigma of an edge, or of a spot
 LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
 TRIED: Final = 0.02  # of a key's scale: the step that is tried first
+DIM: Final = 0.04  # of the level, by a turn of a radian
+ROUNDED: Final = 0.05  # half a gray level of the 24 that are missing, and steps that end where a third of one is left
 GRAIN: Final = 0.02  # of the level: what neighbouring renders differ by
 
 
@@ -250,3 +252,25 @@ def test_a_key_that_hardly_shows_stays_near_the_scene(bench: Scene, basis: Basis
     seen = taken(np.rint(prediction.at([begin]).unclipped) + 20.0, bench)
     (found,) = approached(free.keys, prediction, [seen], 4.0)
     assert begin < found < FAR * begin
+
+
+@pytest.mark.long
+def test_a_turn_that_hardly_shows_is_held_by_a_radian(bench: Scene, basis: Basis) -> None:
+    """It adds a deviation of the whole image a radian, and six are missing: unheld it would be gone round once.
+
+    Held by four, it goes by 6/17 of a radian at the first blur, and by little less at each of the two others.
+    """
+    free = free_scene(bench, ["pose:edge"])
+    there = np.array(bench.targets[0].pose.rotation)
+
+    def trace(scene: Scene) -> Basis:
+        turned = there.T @ np.array(scene.targets[0].pose.rotation)
+        shown = LEVEL * (_edge(0, 0) + DIM * np.arctan2(turned[1, 0], turned[0, 0])) / len(basis.sources)
+        return replace(basis, images=np.broadcast_to(shown, basis.images.shape).astype(np.float32))
+
+    prediction = Prediction([(free, Places(free, [True] * 6, trace))])
+    shown = prediction.at(np.zeros(6)).unclipped
+    tolerance = DIM * float(np.ptp(shown))  # of one radian
+    seen = taken(np.rint(shown + 6 * tolerance), bench)
+    *_, turn = approached(free.keys, prediction, [seen], tolerance)
+    assert np.radians(turn) == pytest.approx(6 * (1 - (16 / 17) ** 3), rel=ROUNDED)

@@ -72,7 +72,7 @@ def test_each_colour_is_a_state_of_its_own_pixels() -> None:
 @pytest.mark.long
 def test_levels_and_offset_come_out_of_a_raw_image_without_noise(basis: Basis) -> None:
     """All colours are seen in one light, and each pixel says what its own filter lets through."""
-    begun = free_scene(colour_bench(), FREE)
+    begun = free_scene(colour_bench(rounding=False), FREE)  # nor is it rounded
     states = states_of(begun, [GrayImage(np.zeros((20, 24)), 8)], None, None)
     places = Places(states[0].free, (), lambda _: basis)
     assert all(places.serves(state.free.scene) for state in states)

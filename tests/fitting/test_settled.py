@@ -6,23 +6,25 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
 
 from radwrap.fitting.covariance import GRAIN, PULLED, PredictionErrors, inverse_of, spread
-from radwrap.fitting.fit import ended
+from radwrap.fitting.fit import Ended, _gone, ended
 from radwrap.fitting.free_keys import FreeScene, free_scene
 from radwrap.fitting.places import Places
-from radwrap.fitting.prediction import Prediction, Steepness, _grain_of
-from radwrap.fitting.settled import Settled
-from radwrap.fitting.solution import settle
+from radwrap.fitting.prediction import Predicted, Prediction, Steepness, _grain_of
+from radwrap.fitting.settled import Grained, Settled
+from radwrap.fitting.solution import Solution, settle
+from radwrap.fitting.weights import Weighed
 from radwrap.imaging.relight.relit import Basis
-from radwrap.imaging.relight.source_images import SourceImages
+from radwrap.imaging.relight.source_images import AimedRays, SourceImages
 from radwrap.imaging.response.exposure import exposure_of_radiance
 from radwrap.random_streams import generator
 from radwrap.scene.scene import Scene
-from tests.fitting.conftest import EXPOSURE, LEVELS, begun, taken
+from tests.fitting.conftest import EXPOSURE, LEVELS, begun, changed, taken
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 PIXELS: Final = 4000
@@ -32,6 +34,7 @@ FEW: Final = 8  # rounds
 BLUR: Final = 1.5  # px
 PIXEL: Final = 2.0  # mm on the target
 WEAK_PULL: Final = 3.0  # expected deviations that noise may pull by
+AIMED: Final = AimedRays(0.75, 12)
 LEVEL: Final = 0.1  # W/m^2/sr, some 100 gray levels
 
 
@@ -93,6 +96,26 @@ def test_a_key_that_leans_on_what_is_not_determined_is_not_either() -> None:
     # Its share of that direction is small: what it may go along is not.
     (null,) = found.null
     assert abs(null[2] / null[0]) < 0.05
+
+
+@pytest.mark.parametrize(("pulled", "is_lost"), [(0.0, False), (1.0, False), (2.0, True)])
+def test_a_key_is_lost_where_captures_pull_along_what_it_leans_on(pulled: float, is_lost: bool) -> None:
+    """The last two differ by .05 of an image of their own, all grain, and by .008 of what the first one does.
+
+    A deviation along that is a twentieth of the first key's variance; of two, it is a fifth.
+    """
+    first, second, own = np.eye(3, 50)
+    jacobian = np.stack([first, second, second + 0.05 * own + 0.0079 * first], axis=1)
+    null = np.array([0.0079, 1.0, -1.0])
+    grain = 0.6 * 0.05**2 / 4 * np.outer(null, null)  # over what shows: .6
+    left = pulled * own + 3.0 * np.eye(4, 50)[3]
+    all_alike = Weighed(np.ones(50), np.ones(50, dtype=np.bool_), np.zeros(50, dtype=np.bool_), np.zeros(50))
+    solved = Solution(np.ones(3), Predicted(()), all_alike, left, jacobian, converged=True, rounds=1)
+    grained = create_autospec(Grained, instance=True)
+    grained.over.return_value.slopes = grain
+    found = Ended(solved, PredictionErrors(np.zeros((2, 50))), grained).spread(1e-2, None)
+    assert len(found.null) == 1
+    assert np.isnan(found.half_width).tolist() == [is_lost, True, True]
 
 
 def test_what_all_replicates_have_in_common_is_bounded_pixel_by_pixel() -> None:
@@ -276,7 +299,7 @@ def test_slopes_go_with_the_light_that_they_are_seen_in(bench: Scene, basis: Bas
     assert np.abs(then.replicates(longer).mean(axis=0) - then.at(longer).unclipped).max() < 1e-4
 
 
-@pytest.mark.parametrize("rests", [True, False])
+@pytest.mark.parametrize("rests", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_fit_that_still_goes_elsewhere_has_not_converged(bench: Scene, basis: Basis, rests: bool) -> None:
     """Light that shows the spot now here, now there, has no place where a search could end."""
     keys = free_scene(bench, ["targets[0].position[0]=-0.1 m:0.1 m"])
@@ -288,8 +311,9 @@ def test_a_fit_that_still_goes_elsewhere_has_not_converged(bench: Scene, basis: 
 
     class Restless:
         places = 0
+        aimed = AIMED
 
-        def unbiased(self, scene: Scene, share: int, near: object) -> Basis:
+        def unbiased(self, scene: Scene, share: int, near: object, needed: object) -> Basis:
             assert share == (1 if self.places else 4)  # few rays first
             assert (near is None) == (self.places < 2)  # whole ones are compared with each other
             self.places += 1
@@ -440,8 +464,9 @@ def test_a_step_by_slopes_that_are_off_is_not_the_last_one(bench: Scene, basis: 
 
     class Unbiased:
         places = 0
+        aimed = AIMED
 
-        def unbiased(self, scene: Scene, share: int, near: object) -> Basis:
+        def unbiased(self, scene: Scene, share: int, near: object, needed: object) -> Basis:
             self.places += 1
             return traced(scene, 1.0)
 
@@ -455,26 +480,47 @@ def test_a_step_by_slopes_that_are_off_is_not_the_last_one(bench: Scene, basis: 
     assert abs(off[0]) < 0.1
 
 
+@pytest.mark.long
 def test_no_step_is_longer_than_slopes_reach(bench: Scene, basis: Basis) -> None:
-    """A spot that is 2 px off, by slopes that are seen over less: the next place is not beyond these."""
+    """Light that lies 12 px off is come to by more than six steps, by few rays but for the last two."""
     keys = free_scene(bench, ["targets[0].position[0]=-0.1 m:0.1 m"])
     asked: list[float] = []
+    shares: list[int] = []
 
     def traced(scene: Scene) -> Basis:
-        shown = LEVEL * _spot(scene.targets[0].pose.position[0] * 1e3 / PIXEL, 0.0)
+        x = scene.targets[0].pose.position[0] * 1e3 / PIXEL
+        shown = 0.7 * LEVEL * (1.2 + np.tanh((np.mgrid[0:20, 0:24][1] - 11.5 - x) / 6))
         return replace(basis, images=np.broadcast_to(shown / 3, basis.images.shape).astype(np.float32))
 
     class Unbiased:
-        def unbiased(self, scene: Scene, share: int, near: object) -> Basis:
+        aimed = AIMED
+
+        def unbiased(self, scene: Scene, share: int, near: object, needed: object) -> Basis:
             asked.append(scene.targets[0].pose.position[0])
+            shares.append(share)
             return traced(scene)
 
     prediction = prediction_of(keys, traced)
     reach = float(prediction.steepness(np.zeros(1)).reach[0])
-    seen = taken(prediction.at(np.array([2 * PIXEL * 1e-3])).unclipped, bench)
-    ended(keys.keys, prediction, Unbiased(), [seen], np.zeros(1), noise=1.5, robust=False)  # type: ignore[arg-type]
-    assert reach < PIXEL * 1e-3
-    assert asked[:2] == pytest.approx([0.0, reach], abs=EXACT)
+    truth = np.array([12 * PIXEL * 1e-3])
+    seen = taken(prediction.at(truth).unclipped, bench)
+    found = ended(keys.keys, prediction, Unbiased(), [seen], np.zeros(1), noise=1.5, robust=False)  # type: ignore[arg-type]
+    assert found.solved.converged and found.solved.values == pytest.approx(truth, abs=1e-4)
+    assert asked[0] == 0 and (np.diff(asked) > 0).all() and (np.diff(asked) <= reach).all()
+    assert len(shares) > 8 and shares == [4] * (len(shares) - 2) + [1, 1]
+
+
+def test_a_step_counts_along_each_direction(bench: Scene, basis: Basis) -> None:
+    """An offset of three deviations in all pixels, whatever else is free: the root mean square of 3 and nothing."""
+    for others, expected in (([], 1.0), ([EXPOSURE], 0.5**0.5)):
+        keys, prediction = begun(bench, basis, ["camera.sensor.offset", *others])
+        place = np.array([key.value for key in keys.keys])
+        near = Settled(prediction, keys.keys, place, [basis])
+        seen = taken(prediction.at(place).unclipped, bench)
+        solved, grained = settle(keys.keys, near, [seen], 1.0, robust=False, begin=place)
+        way = np.zeros(len(place))
+        way[0] = 3.0 / float(np.linalg.norm(solved.jacobian[:, 0]))
+        assert _gone(solved, grained, way) == pytest.approx(3.0 * expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -486,6 +532,7 @@ def test_what_is_weak_moves_only_where_captures_pull(
     bench: Scene, basis: Basis, apart: float, is_last: bool, moves: bool
 ) -> None:
     """Two LEDs differ by a twentieth over the image: beside renders, what noise may do leads nowhere."""
+    bench = changed(bench, {"camera.sensor.rounding": False})
     free = ["targets[0].position[0]=-0.1 m:0.1 m", *(LEVELS.replace("*", led) for led in "01")]
     keys = free_scene(bench, free)
     tilt = 1 + 0.05 * (np.mgrid[0:20, 0:24][1] / 24 - 0.5)

@@ -72,6 +72,16 @@ def test_a_step_that_lowers_nothing_ends_the_fit_where_the_grain_hides_it(grain:
     assert arrived.converged is ends and np.allclose(arrived.values, values)
 
 
+def test_a_step_of_less_than_rays_are_off_by_is_the_last_one() -> None:
+    """Whether it lowers the sum or not: the next one would go no nearer to what is there."""
+    begin, grain = np.array([1.0, 4.0]), 30.0
+    whole = through_grain(Decay(), begin, np.ones(2), FREE)
+    short = through_grain(Decay(), begin, np.ones(2), FREE, grain=grain)
+    assert short.converged and short.rounds < whole.rounds
+    left = Decay().left(short.values, Decay().weights(short.values))
+    assert np.linalg.norm(left) < grain
+
+
 @pytest.mark.parametrize(("held_by", "gone"), [(0.0, 100.0), (1.0, 0.25 / 1.0025)])
 def test_a_key_that_hardly_shows_is_held_where_it_begins(held_by: float, gone: float) -> None:
     """Of a scale it changes .05 deviations, and 5 are off: by least squares it goes 100 scales."""
