@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from radwrap.face.measuring import Measured
 
 _BLOCK: Final = 1 << 20  # byte; a client that reads slowly makes us hold no more than a few
-_LOOK: Final = 0.02  # s between looks at whether there is another picture
+_LOOK: Final = 0.005  # s between looks at whether there is another picture
 _STEP: Final = 0.1  # s between words on how far a trace is
 _LONGEST_WATCH: Final = 1.0  # s
 _GRACE: Final = 2.0  # s for a page that is loaded again
@@ -173,7 +173,7 @@ class _Answers:
             told["error"] = str(status.error)
         traced = self._session.present
         if traced is not None:
-            size = len(traced.sources) * traced.relighter.basis.sensor.pixels * 4
+            size = len(traced.sources) * traced.relighter.basis.sensor.pixels * 5
             mixes, saves = size <= MOST_PLANES, self._session.out is not None
             told["described"] = _finite({**traced.described(), "mixes": mixes, "saves": saves})
             if self._ring is not None:
@@ -188,15 +188,16 @@ class _Answers:
             self._session.stop()
 
     async def planes(self, request: Request) -> Response:
-        """What each source adds, as float32."""
+        """What each source adds, see `Traced.plane`."""
         traced, _ = await self._asked(request)
-        sizes = [traced.relighter.basis.sensor.pixels] * len(traced.sources)
+        pixels = traced.relighter.basis.sensor.pixels
+        sizes = [1 + pixels + -(-pixels // 4)] * len(traced.sources)
 
         async def planes() -> AsyncIterator[Numbers]:
             for number in range(len(sizes)):  # one at a time: all of a large sensor take hundreds of megabytes
                 yield await asyncio.to_thread(traced.plane, number)
 
-        return _octets({}, sizes, planes())
+        return _octets({"pixels": pixels}, sizes, planes())
 
     async def turn(self, request: Request) -> Response:
         """An image: its error in a line of JSON, then thresholds, radiant exposure and deviations as float32."""

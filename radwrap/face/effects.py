@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 from radwrap.imaging.forecast.effects import effects
 from radwrap.imaging.forecast.explain import explain
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import plain
-from radwrap.scene.file.load import scene_from_document
 
 _TOLD: Final = ("effects", "effects_exposure_time", "tolerance")
 
@@ -22,7 +19,7 @@ def measured_effects(request: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     request : Mapping
-        ``document``, ``origin``, ``folder`` of the scene, and ``options`` of `RenderOptions`.
+        ``scene``, and ``options`` of `RenderOptions`.
 
     Returns
     -------
@@ -35,9 +32,7 @@ def measured_effects(request: Mapping[str, Any]) -> dict[str, Any]:
     InputError, TracerError, EnvironmentFailure
         As `effects`.
     """
-    scene = scene_from_document(
-        json.loads(request["document"]), origin=request["origin"], folder=Path(request["folder"])
-    )
+    scene = request["scene"]
     found = effects(scene, RenderOptions(**request["options"]))
     closed = explain(scene, found["tracer"].get("whole") or ())
     told = {

@@ -329,7 +329,7 @@ class Session:
         for number, coarse in enumerate(stages_of(scene, self._options)):
             folder = self._quick / f"coarse_{trace}_{number}"
             try:
-                self._render(coarse.scene, coarse.options, folder)
+                self._render(coarse.scene, coarse.options, folder, brief=True)
                 found = self._read(coarse.scene, folder, coarse=coarse, replaces=replaces, ray_knobs=ray_knobs(scene))
             except Cancelled:
                 raise
@@ -348,14 +348,14 @@ class Session:
         if before is not None and before.folder.parent in (self._work, self._quick):
             shutil.rmtree(before.folder, ignore_errors=True)
 
-    def _render(self, scene: Scene, options: Mapping[str, Any], folder: Path) -> None:
-        request = {**self._request(scene, options), "out": str(folder.absolute())}
+    def _render(self, scene: Scene, options: Mapping[str, Any], folder: Path, *, brief: bool = False) -> None:
+        request = {**self._request(scene, options), "out": str(folder.absolute()), "brief": brief}
         self._renderer.render(request, lambda progress: self._progressed(int(progress["done"]), int(progress["of"])))
 
     @staticmethod
     def _request(scene: Scene, options: Mapping[str, Any]) -> dict[str, Any]:
-        folder = str(scene.folder.absolute())
-        return {"document": scene.document, "origin": scene.origin, "folder": folder, "options": dict(options)}
+        # The renderer works in another folder; names of files are told against the scene's.
+        return {"scene": replace(scene, folder=scene.folder.absolute()), "options": dict(options)}
 
     def _read(self, scene: Scene, folder: Path, **more: Any) -> Traced:
         from radwrap.face.traced import read_traced  # loaded while the first picture is traced

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +11,6 @@ from radwrap.errors import InputError
 from radwrap.extras import require
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.manifest import plain
-from radwrap.scene.file.load import scene_from_document
 from radwrap.study.trade_rows import TradeOptions
 from radwrap.units import TIME, parse_quantity
 
@@ -44,8 +42,8 @@ def measured_trade(
     Parameters
     ----------
     request : Mapping
-        ``document``, ``origin``, ``folder`` of the scene, ``options`` of `RenderOptions`, ``longest`` [s], ``out``: the
-        folder where finished settings wait, ``keeps``: whether table, numbers and picture are written there.
+        ``scene``, ``options`` of `RenderOptions`, ``longest`` [s], ``out``: the folder where finished settings wait,
+        ``keeps``: whether table, numbers and picture are written there.
     cancelled : callable
         Whether it is to end.
     tell : callable
@@ -67,9 +65,7 @@ def measured_trade(
     from radwrap.study.trade import measure_trade
     from radwrap.study.trade_report import pareto_front, recommendation, write_trade
 
-    scene = scene_from_document(
-        json.loads(request["document"]), origin=request["origin"], folder=Path(request["folder"])
-    )
+    scene = request["scene"]
     options = TradeOptions(longest=request["longest"], render=RenderOptions(**request["options"]))
     out = Path(request["out"])
     trade = measure_trade(

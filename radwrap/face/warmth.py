@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields
@@ -13,7 +12,6 @@ from typing import Any
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.warm import WarmScene
 from radwrap.progress import Progressed
-from radwrap.scene.file.load import scene_from_document
 
 
 def load_tracer() -> None:
@@ -49,9 +47,7 @@ class Warmth:
 
         `lies` is told where the warm scene is.
         """
-        scene = scene_from_document(
-            json.loads(request["document"]), origin=request["origin"], folder=Path(request["folder"])
-        )
+        scene = request["scene"]
         options = RenderOptions(**{**request["options"], "basis": True})
         if self._scene is None:
             self._scene = WarmScene(scene, options)
@@ -59,4 +55,5 @@ class Warmth:
                 lies(self._scene.folder)
         # All of them: what the scene was laid out with may have been those of a coarse picture.
         changes = {one.name: getattr(options, one.name) for one in fields(options) if one.name != "progress"}
-        self._scene.render(scene, request["out"], cancelled=cancelled, progress=told, **changes)
+        out = Path(request["out"])
+        self._scene.leave(scene, out, brief=request["brief"], cancelled=cancelled, progress=told, **changes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
+import pickle
 import subprocess
 import sys
 import time
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 
 import radwrap
@@ -21,10 +22,12 @@ from radwrap.face.recipe import Recipe
 from radwrap.face.session import Session
 from radwrap.face.traced import Traced
 from radwrap.imaging.page.turn import Turn
+from radwrap.scene.targets import MeshPart
 from tests.cli.conftest import scene_with
 from tests.face.conftest import PATIENCE, TWO
 from tests.face.test_life import LONG, LONG_OPTIONS
 
+SCENES: Final = Path(__file__).parents[2] / "rad_scenes"
 OPTIONS: Final[dict[str, Any]] = {"tolerance": 0.5, "seed": 3, "tracer": "auto"}
 
 
@@ -79,6 +82,19 @@ def worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a picture as small as those of tests."""
     monkeypatch.setattr(module, "WORTH_IT", 1)
     monkeypatch.setattr(module, "MOST_PIXELS", 130)
+
+
+@pytest.mark.parametrize("name", ["cells/ring.toml", "cells/backlight.toml", "bench_board/scene.toml"])
+def test_the_renderer_gets_the_scene_as_it_is(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its meshes, and where it works itself: it reads no scene file."""
+    monkeypatch.chdir(SCENES.parent)
+    scene = radwrap.load_scene(Path(SCENES.name) / name)
+    asked = pickle.loads(pickle.dumps(Session._request(scene, {"tolerance": 3.0})))  # noqa: S301  (our own)
+    told = asked["scene"]
+    assert told == scene and told.document == scene.document and asked["options"] == {"tolerance": 3.0}
+    assert told.folder == (SCENES / name).parent
+    for one, known in zip(told.targets, scene.targets, strict=True):
+        assert not isinstance(known, MeshPart) or np.array_equal(one.mesh.corners, known.mesh.corners)
 
 
 @pytest.fixture
@@ -193,14 +209,15 @@ def test_it_stays_where_the_trace_is_stopped(worth_it: None, tmp_path: Path) -> 
             session.finished(first.number)
         with pytest.raises(InputError, match="coarse"):
             session.trace(Turn((0.5, 0.5)))
-        before = set(work.glob("request_*.json"))
+        before = set(work.glob("request_*.pickle"))
         session.trace()
-        while not (more := set(work.glob("request_*.json")) - before):
+        while not (more := set(work.glob("request_*.pickle")) - before):
             assert time.monotonic() < end + PATIENCE, session.status
             time.sleep(0.005)
         session.stop()
         assert seen(session) == [first]
-        assert [json.loads(path.read_bytes())["options"]["tolerance"] for path in more] == [options["tolerance"]]
+        asked = [pickle.loads(path.read_bytes()) for path in more]  # noqa: S301  (our own)
+        assert [request["options"]["tolerance"] for request in asked] == [options["tolerance"]]
     finally:
         session.close()
 

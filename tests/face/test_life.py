@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import socket
 import stat
@@ -268,7 +269,7 @@ def test_what_serves_nothing_starts_none(
 def test_who_was_started_ahead_renders(tmp_path: Path) -> None:
     """The next one is started where it has ended."""
     scene = radwrap.scene_from_document(scene_with(TWO))
-    request = {"document": scene.document, "origin": "", "folder": str(tmp_path), "options": {"tolerance": 8.0}}
+    request = {"scene": scene, "options": {"tolerance": 8.0}, "brief": False}
     ahead = own_modules.start_module("radwrap.face.renderer")
     folder = tmp_path / "wo rk"
     folder.mkdir()
@@ -291,8 +292,8 @@ def test_an_error_of_our_own_is_told_as_such(tmp_path: Path, capsys: pytest.Capt
         def render(self, *_: object) -> None:
             raise ValueError("zip() argument 2 is longer than argument 1")
 
-    (tmp_path / "request.json").write_text("{}")
-    told = _answered(Broken(), tmp_path / "request.json", _Ears())
+    (tmp_path / "request").write_bytes(pickle.dumps({}))
+    told = _answered(Broken(), tmp_path / "request", _Ears())
     assert told["error"] == "this is an error in radwrap itself; please report it" and told["kind"] == ""
     assert "ValueError: zip()" in capsys.readouterr().err
 

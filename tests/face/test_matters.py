@@ -25,7 +25,7 @@ OPTIONS: Final[dict[str, Any]] = {"tolerance": 2.0, "tracer": "radiance"}
 
 def request(**changes: Any) -> dict[str, Any]:
     scene = radwrap.scene_from_document(scene_with(TWO), changes)
-    return {"document": scene.document, "origin": "scene", "folder": ".", "options": OPTIONS}
+    return {"scene": scene, "options": OPTIONS}
 
 
 @pytest.mark.long

@@ -83,6 +83,7 @@ export class Explorer {
     this.listen();
     this.resetWindow();
     if (kept) take(this, kept);
+    this.tellUnmeasured();
     this.tellLeftOut();
     this.rayKnobs = new RayKnobs(this, kept?.rays);
     if (kept?.focus?.knob.startsWith("ray:")) focusKnob(kept.focus);
@@ -100,7 +101,7 @@ export class Explorer {
     try {
       if (mixes) {
         let number = 0;
-        await this.source.planes(basis, (/** @type {Float32Array} */ plane) => {
+        await this.source.planes(basis, (/** @type {import("./types.js").Plane} */ plane) => {
           number++;
           if (!this.certified) this.tell.state(`loading ${percent(number / sources.length)}`, "stale");
           this.field.addPlane(plane);
@@ -225,19 +226,24 @@ export class Explorer {
     byId("picture").classList.toggle("old", !this.planes && this.certified === null);
   }
 
+  /** The picture comes by its planes, and its error a moment later: that of the picture before is not its own. */
+  tellUnmeasured() {
+    const { coarse, tolerance } = this.described, kept = byId("kept");
+    byId("error").className = kept.className = "chip stale";
+    byId("error").textContent = "error being measured";
+    kept.textContent = !coarse ? "" : `coarse picture: tolerance ${shortNumber(tolerance)}${coarse > 1 ? `, ${coarse} × ${coarse} pixels as one` : ""}`;
+  }
+
   /** @param {Certified} certified */
   tellError({ told }) {
     const { rms_gray: rms, rms_gray_upper95: bound } = told.error;
-    const { tolerance } = this.described;
+    const { tolerance, coarse } = this.described;
     const error = byId("error"), kept = byId("kept");
     error.className = "chip";
     error.textContent = `error ${errorText(rms)} gray rms, below ${errorText(bound)} (95 %)`;
-    kept.className = `chip ${told.keeps ? "good" : "bad"}`;
-    kept.textContent = `tolerance ${shortNumber(tolerance)} ${told.keeps ? "kept" : "not kept"}`;
-    const { coarse } = this.described;
-    if (coarse) {
-      kept.className = "chip stale";
-      kept.textContent = `coarse picture: tolerance ${shortNumber(tolerance)}${coarse > 1 ? `, ${coarse} × ${coarse} pixels as one` : ""}`;
+    if (!coarse) {
+      kept.className = `chip ${told.keeps ? "good" : "bad"}`;
+      kept.textContent = `tolerance ${shortNumber(tolerance)} ${told.keeps ? "kept" : "not kept"}`;
     }
     this.tell.state("measured", "good");
     byId("picture").classList.remove("old");

@@ -28,9 +28,9 @@ class Exported {
     return new Worker(this.script);
   }
 
-  /** @param {number} _ @param {(plane: Float32Array) => void} take */
+  /** @param {number} _ @param {(plane: import("./types.js").Plane) => void} take */
   async planes(_, take) {
-    for (const plane of this.data.planes) take(numbers(plane));
+    for (const plane of this.data.planes) take({ high: numbers(plane), low: null, unit: 0 });
   }
 
   /** @param {number} _ @param {Turn} turn */

@@ -76,10 +76,14 @@ export class Field {
 
   /**
    * One more plane of light; its memory goes to the workers.
-   * @param {Float32Array} plane
+   * @param {import("./types.js").Plane} plane
    */
-  addPlane(plane) {
-    this.share(plane, (part) => ({ kind: "plane", plane: part }));
+  addPlane({ high, low, unit }) {
+    for (const { worker, top, bottom } of this.bands) {
+      const place = [top * this.columns, bottom * this.columns];
+      const plane = { high: high.slice(...place), low: low && low.slice(...place), unit };
+      worker.postMessage({ kind: "plane", plane }, { transfer: [plane.high.buffer, ...(plane.low ? [plane.low.buffer] : [])] });
+    }
   }
 
   /**

@@ -1,16 +1,17 @@
 // From planes of light to codes and colours; pure, for the workers and for tests.
 //
-// Planes are float32, [W/m^2/sr] in the light of one source alone; a sum of them times a scale is radiant exposure.
+// Planes are light [W/m^2/sr] of one source alone, in eight bits more than a float32 has; their sum is a double, and
+// becomes radiant exposure by a scale. That is rounded to a float32 once, as the server rounds it: then codes are the server's.
 // A code is a rank among thresholds. A float's upper bits say nearly which rank: a table of them leaves a step or two.
 
 /** @typedef {import("./types.js").Thresholds} Thresholds */
+/** @typedef {import("./types.js").Plane} Plane */
 /** @typedef {import("./types.js").Section} Section */
 /** @typedef {import("./types.js").Look} Look */
 /** @typedef {import("./types.js").Frame} Frame */
 /** @typedef {{first: number, values: Float32Array, words: Int32Array, begin: Uint16Array, single: boolean,
- *   saturated: number, lit: number}} Ranks thresholds as floats and as their bits, and where a bucket of bits begins */
-/** @typedef {Ranks & {full: number, barely: number}} Begun where ranks begin in a sum of planes that a scale multiplies, and
- *   where it is saturated, and no longer dark */
+ *   saturated: number, lit: number, full: number, barely: number}} Ranks thresholds as floats and as their bits, and where a bucket of bits begins; bits
+ *   of light that is saturated, and no longer dark */
 /** @typedef {{ranks: Uint16Array, counted: Uint32Array[], saturated: number, dark: number}} Line a row of pixels in the
  *   making */
 
@@ -18,39 +19,34 @@ const SHIFT = 15; // bits of a float that the table passes over
 const CHUNK = 4096;
 const ALIKE = 1e-12; // of a level: far below what a float of the planes holds
 const LANES = 4; // counts of each code, as neighbours are alike: one count would wait for the other
-const STEPS = 2; // floats at most between a quotient and where the product, as it is rounded, reaches a threshold
 const LAST_WORD = 0x7fffffff;
 
 /**
- * The sum of all planes.
- * @param {Float32Array[]} planes
+ * The sum of all planes; it may be negative by noise.
+ * @param {Plane[]} planes
  * @param {number[]} factors
- * @param {Float32Array} sum
+ * @param {Float64Array} sum
  */
 export function sumPlanes(planes, factors, sum) {
-  const used = planes.map((plane, k) => ({ plane, factor: factors[k] })).filter((one) => one.factor !== 0);
-  const chunk = new Float64Array(CHUNK);
+  sum.fill(0);
   for (let start = 0; start < sum.length; start += CHUNK) {
-    const size = Math.min(CHUNK, sum.length - start);
-    chunk.fill(0);
-    for (const { plane, factor } of used) {
-      for (let i = 0; i < size; i++) chunk[i] += factor * plane[start + i];
-    }
-    for (let i = 0; i < size; i++) sum[start + i] = chunk[i] > 0 ? chunk[i] : 0;
+    const end = Math.min(sum.length, start + CHUNK); // a part of the sum that stays near the processor
+    for (const [k, plane] of planes.entries()) if (factors[k] !== 0) addPlane(sum, plane, factors[k], start, end);
   }
 }
 
 /**
  * Add a share of one plane: what turning one knob costs, whatever the number of sources.
- * @param {Float32Array} sum
- * @param {Float32Array} plane
+ * @param {Float64Array} sum
+ * @param {Plane} plane
  * @param {number} change
+ * @param {number} start
+ * @param {number} end
  */
-export function addPlane(sum, plane, change) {
-  for (let i = 0; i < sum.length; i++) {
-    const value = sum[i] + change * plane[i];
-    sum[i] = value > 0 ? value : 0;
-  }
+export function addPlane(sum, { high, low, unit }, change, start = 0, end = sum.length) {
+  const small = change * unit;
+  if (low === null) for (let i = start; i < end; i++) sum[i] += change * high[i];
+  else for (let i = start; i < end; i++) sum[i] += change * high[i] + small * low[i];
 }
 
 /**
@@ -74,7 +70,7 @@ export function ranksOf({ first, values, saturated, lit }) {
   const words = new Int32Array(values.length + 1);
   words.set(new Int32Array(values.buffer.slice(values.byteOffset, values.byteOffset + values.byteLength)));
   words[values.length] = LAST_WORD; // no light is brighter
-  return { first, values, words, saturated, lit, ...bucketsOf(words) };
+  return { first, values, words, saturated, lit, full: wordOf(saturated), barely: wordOf(lit), ...bucketsOf(words) };
 }
 
 /**
@@ -94,35 +90,6 @@ function bucketsOf(words) {
   return { begin, single: most <= 1 };
 }
 
-/**
- * Where ranks begin in what a scale multiplies: pixels then need no multiplication.
- * @param {Ranks} ranks
- * @param {number} scale
- * @returns {Begun}
- */
-export function begunAt(ranks, scale) {
-  const full = leastWord(ranks.saturated, scale), barely = leastWord(ranks.lit, scale);
-  if (scale === 1) return { ...ranks, full, barely };
-  const words = ranks.words.map((_, k) => (k < ranks.values.length ? leastWord(ranks.values[k], scale) : LAST_WORD));
-  return { ...ranks, words, ...bucketsOf(words), full, barely };
-}
-
-/**
- * Bits of the least float whose product with a scale, rounded to a float, reaches a threshold; of floats that are no
- * smaller than 1e-37, as light is.
- * @param {number} threshold
- * @param {number} scale
- */
-function leastWord(threshold, scale) {
-  if (!(threshold > 0)) return 0;
-  /** @param {number} word */
-  const reaches = (word) => Math.fround(floatOf(word) * scale) >= threshold;
-  let word = wordOf(threshold / scale);
-  for (let step = 0; step < STEPS && reaches(word - 1); step++) word--;
-  for (let step = 0; step < STEPS && !reaches(word); step++) word++;
-  return word;
-}
-
 const oneFloat = new Float32Array(1);
 const oneWord = new Int32Array(oneFloat.buffer);
 
@@ -130,12 +97,6 @@ const oneWord = new Int32Array(oneFloat.buffer);
 function wordOf(value) {
   oneFloat[0] = value;
   return oneWord[0];
-}
-
-/** @param {number} word */
-function floatOf(word) {
-  oneWord[0] = word;
-  return oneFloat[0];
 }
 
 /**
@@ -152,10 +113,10 @@ export function codeOf(exposure, { first, words, begin }) {
 
 /**
  * One section of the picture, and the statistics of all pixels of a band.
- * @param {Float32Array} sum of the band's pixels
+ * @param {Float32Array | Float64Array} sum of the band's pixels
  * @param {number} columns
  * @param {number} top first row of the band in the image
- * @param {number} scale radiant exposure of a unit of the sum
+ * @param {number} scale radiant exposure of a unit of the sum; 1 of floats, which are radiant exposure
  * @param {Ranks} ranks
  * @param {Section} section
  * @param {Look} look
@@ -172,8 +133,7 @@ export function frameOf(sum, columns, top, scale, ranks, section, look, codes) {
   const colours = coloursOf(look, codes);
   const pixels = new Uint32Array(width * (row1 - row0));
   const { first } = ranks;
-  const begun = begunAt(ranks, scale);
-  const bits = new Int32Array(sum.buffer, sum.byteOffset, sum.length);
+  const exposure = sum instanceof Float32Array ? null : new Float32Array(columns); // of a row
   const line = { ranks: new Uint16Array(columns), counted: Array.from({ length: LANES }, () => new Uint32Array(codes)),
     saturated: 0, dark: 0 };
   const down = new Uint32Array(columns); // sums of ranks, from the first row of a bin
@@ -184,8 +144,9 @@ export function frameOf(sum, columns, top, scale, ranks, section, look, codes) {
   for (let row = 0; row < rows; row++) {
     const v = top + row - section.y0;
     const seen = v >= 0 && top + row < section.y1;
-    rank(bits, row * columns, begun, line);
-    if (marked) flipped += mark(sum, row * columns, scale, line, begun, ranks, section, look, seen ? marks : null);
+    const light = exposure ? exposed(sum, row * columns, scale, exposure) : sum.subarray(row * columns, (row + 1) * columns);
+    rank(light, ranks, line);
+    if (marked) flipped += mark(light, line, ranks, section, look, seen ? marks : null);
     if (!seen) continue;
     for (let column = section.x0; column < section.x1; column++) down[column] += line.ranks[column];
     if (v % bin === bin - 1 || row === rows - 1 || top + row === section.y1 - 1) {
@@ -212,21 +173,36 @@ export function frameOf(sum, columns, top, scale, ranks, section, look, codes) {
 }
 
 /**
+ * Radiant exposure of a row, as a file holds it.
+ * @param {Float32Array | Float64Array} sum
+ * @param {number} offset of the row
+ * @param {number} scale
+ * @param {Float32Array} exposure
+ */
+function exposed(sum, offset, scale, exposure) {
+  for (let x = 0; x < exposure.length; x++) {
+    const light = sum[offset + x] * scale;
+    exposure[x] = light > 0 ? light : 0;
+  }
+  return exposure;
+}
+
+/**
  * Ranks of a row of pixels, how many pixels have each, and how many are saturated or dark. No branch hangs on the light:
  * a processor that guesses wrong loses as much time as all the rest takes.
- * @param {Int32Array} bits of the light
- * @param {number} offset of the row
- * @param {Begun} begun
+ * @param {Float32Array | Float64Array} light floats of the row
+ * @param {Ranks} begun
  * @param {Line} line
  */
-function rank(bits, offset, begun, line) {
+function rank(light, begun, line) {
   const { words, begin, full, barely } = begun;
+  const bits = new Int32Array(light.buffer, light.byteOffset, line.ranks.length);
   const { ranks, counted } = line;
   const whole = begun.single ? ranks.length - (ranks.length % LANES) : 0;
   const [count0, count1, count2, count3] = counted;
   let saturated = 0, dark = 0;
   for (let x = 0; x < whole; x += LANES) {
-    const word0 = bits[offset + x], word1 = bits[offset + x + 1], word2 = bits[offset + x + 2], word3 = bits[offset + x + 3];
+    const word0 = bits[x], word1 = bits[x + 1], word2 = bits[x + 2], word3 = bits[x + 3];
     let rank0 = begin[word0 >>> SHIFT], rank1 = begin[word1 >>> SHIFT], rank2 = begin[word2 >>> SHIFT], rank3 = begin[word3 >>> SHIFT];
     rank0 += (words[rank0] - 1 - word0) >>> 31; // 1 where the word is no less
     rank1 += (words[rank1] - 1 - word1) >>> 31;
@@ -244,7 +220,7 @@ function rank(bits, offset, begun, line) {
     dark += ((word0 - barely) >>> 31) + ((word1 - barely) >>> 31) + ((word2 - barely) >>> 31) + ((word3 - barely) >>> 31);
   }
   for (let x = whole; x < ranks.length; x++) {
-    const word = bits[offset + x];
+    const word = bits[x];
     let found = begin[word >>> SHIFT];
     while (words[found] <= word) found++;
     ranks[x] = found;
@@ -258,24 +234,22 @@ function rank(bits, offset, begun, line) {
 
 /**
  * What overlays show of a row; returns how many pixels flip.
- * @param {Float32Array} sum
- * @param {number} offset of the row
- * @param {number} scale
+ * @param {Float32Array | Float64Array} light floats of the row
  * @param {Line} line
- * @param {Begun} begun
  * @param {Ranks} ranks
  * @param {Section} section
  * @param {Look} look
  * @param {Uint8Array | null} marks null where the row is not seen
  */
-function mark(sum, offset, scale, { ranks: found }, { full, barely }, ranks, section, look, marks) {
-  const bits = new Int32Array(sum.buffer, sum.byteOffset + 4 * offset, found.length);
+function mark(light, { ranks: found }, ranks, section, look, marks) {
+  const { full, barely } = ranks;
+  const bits = new Int32Array(light.buffer, light.byteOffset, found.length);
   const brighter = 1 + look.share;
   let flipped = 0;
   for (let x = 0; x < found.length; x++) {
     let one = bits[x] >= full ? 1 : 0;
     if (bits[x] < barely) one |= 2;
-    if (look.flips && flips(Math.fround(sum[offset + x] * scale) * brighter, found[x], ranks)) {
+    if (look.flips && flips(light[x] * brighter, found[x], ranks)) {
       flipped++;
       one |= 4;
     }

@@ -1,10 +1,12 @@
 // Eq. 5 as the page needs it between two answers of the server: G = K H^gamma + G0; pure.
 //
-// The server's thresholds are exact, these are right to the last digits of a float; see radwrap/imaging/page.
+// Where codes begin is found as the server finds it, see radwrap/imaging/page: the least float32 that Eq. 5 turns into a code.
 
 /** @typedef {import("./types.js").Sensor} Sensor */
 /** @typedef {import("./types.js").Knobs} Knobs */
 /** @typedef {import("./types.js").Thresholds} Thresholds */
+
+const float = new Float32Array(1), word = new Int32Array(float.buffer);
 
 /**
  * The sensor with its knobs turned, as radwrap/imaging/page/turn.py turns it.
@@ -88,10 +90,14 @@ export function thresholdsOf(sensor) {
 }
 
 /**
+ * The least float that reaches a gray level: one that is rounded to the nearest is too small in half of the cases.
  * @param {number} gray
  * @param {Sensor} sensor
  */
 function exposureOf(gray, sensor) {
   if (gray > sensor.saturation_gray) return Infinity;
-  return Math.fround(Math.max(0, (gray - sensor.dark_gray) / sensor.gain) ** (1 / sensor.gamma));
+  const exact = Math.max(0, (gray - sensor.dark_gray) / sensor.gain) ** (1 / sensor.gamma);
+  float[0] = exact;
+  if (float[0] < exact) word[0]++; // floats that are not negative are in the order of their bits
+  return float[0];
 }

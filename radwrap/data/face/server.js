@@ -5,6 +5,7 @@
 /** @typedef {import("./types.js").Certified} Certified */
 
 const KEY = "token";
+const CALM = 1000; // ms after which a worker is started for the next picture
 
 /** What is wrong, in the words of radwrap. */
 export class Refused extends Error {
@@ -36,6 +37,8 @@ export class Server {
     this.live = true;
     this.wake = () => {};
     this.tracedFrom = 0; // the basis that was there when this tab asked for a trace
+    /** @type {Worker | null} one that has its modules: to start it took .1 s of each first frame */
+    this.spare = startedWorker();
   }
 
   /**
@@ -51,7 +54,10 @@ export class Server {
   }
 
   makeWorker() {
-    return new Worker("/worker.js", { type: "module" });
+    const worker = this.spare ?? startedWorker();
+    this.spare = null;
+    setTimeout(() => { this.spare ??= startedWorker(); }, CALM);
+    return worker;
   }
 
   /**
@@ -95,12 +101,16 @@ export class Server {
   /**
    * Each plane of light as it comes.
    * @param {number} basis
-   * @param {(plane: Float32Array) => void} take
+   * @param {(plane: import("./types.js").Plane) => void} take
    */
   async planes(basis, take) {
     const blocks = new Blocks(await this.ask("planes", { basis }));
-    const { blocks: sizes } = await blocks.head();
-    for (const size of sizes) take(await blocks.numbers(size));
+    const { blocks: sizes, pixels } = await blocks.head();
+    for (const size of sizes) {
+      const [unit] = await blocks.numbers(1);
+      const rest = await blocks.numbers(size - 1);
+      take({ unit, high: rest.subarray(0, pixels), low: new Int8Array(rest.buffer, 4 * pixels, pixels) });
+    }
   }
 
   /**
@@ -168,6 +178,10 @@ export class Server {
       thresholds: { first, values, saturated: saturated ?? Infinity, lit: lit ?? Infinity },
     };
   }
+}
+
+function startedWorker() {
+  return new Worker("/worker.js", { type: "module" });
 }
 
 /** A line of JSON, then numbers; little-endian, as all browsers' machines are. */

@@ -2,6 +2,7 @@
  * Shapes of what goes between the page's modules; there is no code here.
  *
  * @typedef {{first: number, values: Float32Array, saturated: number, lit: number}} Thresholds
+ * @typedef {{high: Float32Array, low: Int8Array | null, unit: number}} Plane light of a source alone: high + unit low
  * Radiant exposures at which codes begin [J/m^2]: of first + 1, first + 2, ...; of saturation; of half a level of light.
  *
  * @typedef {{gain: number, gamma: number, dark_gray: number, saturation_gray: number, bit_depth: number,

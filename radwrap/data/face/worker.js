@@ -3,12 +3,12 @@
 import { differenceOf, graysOf } from "./difference.js";
 import { addPlane, frameOf, ranksOf, sumPlanes, timesOf } from "./mix.js";
 
-const MOST_STEPS = 64; // sums that are changed plane by plane, before they are made anew: float32 forgets
+const MOST_STEPS = 64; // sums that are changed plane by plane, before they are made anew: roundings add up
 
-/** @type {Float32Array[]} */
+/** @type {import("./types.js").Plane[]} */
 let planes = [];
-/** @type {Float32Array} */
-let sum = new Float32Array(0);
+/** @type {Float64Array} */
+let sum = new Float64Array(0);
 /** @type {Float32Array | null} */
 let certified = null;
 /** @type {Float32Array} */
@@ -55,7 +55,7 @@ onmessage = (event) => {
       factors = [];
       certified = null;
       kept = null;
-      sum = new Float32Array(told.rows * columns);
+      sum = new Float64Array(told.rows * columns);
       break;
     case "plane":
       planes.push(told.plane);
@@ -102,8 +102,10 @@ onmessage = (event) => {
     case "light": {
       // Of a few pixels, in double precision.
       const values = told.places.map((/** @type {number} */ place) =>
-        told.factors.reduce((/** @type {number} */ all, /** @type {number} */ factor, /** @type {number} */ k) =>
-          all + factor * planes[k][place], 0));
+        told.factors.reduce((/** @type {number} */ all, /** @type {number} */ factor, /** @type {number} */ k) => {
+          const { high, low, unit } = planes[k];
+          return all + factor * (high[place] + (low ? low[place] * unit : 0));
+        }, 0));
       postMessage({ id: told.id, values });
       break;
     }

@@ -784,8 +784,19 @@ test("a coarse picture comes first, is marked, and hands its knobs on", async (t
   const { page } = await opened(t, { at: "about:blank" }); // the browser is up before the trace begins
   const own = await serve("--tolerance", "0.2", "--out", join(folder, "coarse"));
   t.after(() => own.process.kill("SIGTERM"));
+  // What is said of the error with each frame: a picture without one says so.
+  await page.addInitScript(() => {
+    window.told = [];
+    document.addEventListener("DOMContentLoaded", () => {
+      const look = new MutationObserver(() => { window.told.push(document.getElementById("error").textContent); });
+      look.observe(document.getElementById("picture"), { attributeFilter: ["data-frames"] });
+    });
+  });
   await page.goto(own.link);
-  await page.waitForFunction(() => document.getElementById("kept").textContent.startsWith("coarse picture: tolerance 3.1, 3 × 3 pixels as one"));
+  await page.waitForFunction(() => document.getElementById("error").textContent.endsWith("(95 %)"));
+  const told = await page.evaluate(() => window.told);
+  assert.ok(told.length > 0 && told.every((text) => /^error (being measured|.* gray rms, below .*)$/.test(text)), told.join("; "));
+  assert.equal(await page.textContent("#kept"), "coarse picture: tolerance 3.1, 3 × 3 pixels as one");
   assert.match(await page.textContent("#state"), /^coarse, tracing(, [\d.]+( thousand| million)? rays)?$/); // no share: it is not known
   assert.match(await page.textContent("#error"), /^error .* gray rms, below .*95 %/);
   for (const id of ["png", "toml", "save", "copy", "trace"]) assert.ok(!(await page.locator(`#${id}`).isVisible()), id);

@@ -11,6 +11,7 @@ import { progressText, settingRows } from "../../../radwrap/data/face/trading.js
 import { adviceOf, effectRows } from "../../../radwrap/data/face/matters.js";
 import { causeText, pictureOf } from "../../../radwrap/data/face/photo.js";
 import { grayOf, rankOf, thresholdsOf, turnedSensor } from "../../../radwrap/data/face/response.js";
+import { Server } from "../../../radwrap/data/face/server.js";
 import { History, sameTurn, untouched, withKnob, withLevels } from "../../../radwrap/data/face/state.js";
 import { draggedWindow, grouped, linePixels, profileCsv, quantile, stripPixels, summary } from "../../../radwrap/data/face/statistics.js";
 import { countText, exposureText, parseNumber, parseTime, percent, shortNumber, timeText } from "../../../radwrap/data/face/units.js";
@@ -29,27 +30,46 @@ function* numbers(seed) {
 const draw = numbers(7);
 const next = () => draw.next().value;
 const floats = (count, of) => Float32Array.from({ length: count }, of);
+const plane = (...light) => ({ high: Float32Array.from(light), low: null, unit: 0 });
 
 test("sums of planes are sums, whole and step by step", () => {
-  const planes = Array.from({ length: 5 }, () => floats(10_000, next));
+  const planes = Array.from({ length: 5 }, (_, k) => ({ high: floats(10_000, next), unit: 2 ** -31,
+    low: k === 3 ? null : Int8Array.from({ length: 10_000 }, () => 254 * next() - 127) }));
+  const light = ({ high, low, unit }, i) => high[i] + (low ? unit * low[i] : 0);
   const factors = [0.3, 0, 2.5, 1, 0.01];
-  const sum = new Float32Array(10_000);
+  const sum = new Float64Array(10_000).fill(7); // of another picture
   sumPlanes(planes, factors, sum);
   for (const i of [0, 4095, 4096, 9999]) {
-    assert.equal(sum[i], Math.fround(factors.reduce((all, factor, k) => all + factor * planes[k][i], 0)));
+    assert.ok(Math.abs(sum[i] - factors.reduce((all, factor, k) => all + factor * light(planes[k], i), 0)) < 1e-15);
   }
   addPlane(sum, planes[2], -1.5);
-  const anew = new Float32Array(10_000);
+  const anew = new Float64Array(10_000);
   sumPlanes(planes, [0.3, 0, 1, 1, 0.01], anew);
-  assert.ok(sum.every((value, i) => Math.abs(value - anew[i]) < 1e-6));
+  assert.ok(sum.every((value, i) => Math.abs(value - anew[i]) < 1e-14));
 });
 
-test("light is never negative", () => {
-  const sum = new Float32Array(3);
-  sumPlanes([Float32Array.of(-1, 0, 1)], [1], sum);
-  assert.deepEqual([...sum], [0, 0, 1]);
-  addPlane(sum, Float32Array.of(0, 0, 1), -2);
-  assert.deepEqual([...sum], [0, 0, 0]);
+test("light is never negative, and a sum that was goes on from where it was", () => {
+  const ranks = ranksOf({ first: 0, values: Float32Array.of(0.5, 1.5), saturated: Infinity, lit: 0.5 });
+  const codes = (sum) => [...frameOf(sum, 3, 0, 1, ranks, { x0: 0, y0: 0, x1: 3, y1: 1, bin: 1 }, PLAIN, 256).counts.slice(0, 3)];
+  const planes = [plane(-1, 0, 1), plane(2, 0, 0)], sum = new Float64Array(3);
+  sumPlanes(planes, [1, 0], sum);
+  assert.deepEqual(codes(sum), [2, 1, 0]);
+  addPlane(sum, planes[1], 1);
+  assert.deepEqual(codes(sum), [1, 2, 0]);
+});
+
+test("a threshold is the least float that reaches a code, also where a float next to it is nearer", () => {
+  const word = new Int32Array(1), float = new Float32Array(word.buffer);
+  for (const bits of [8, 12, 16]) {
+    const full = 2 ** bits - 1, sensor = { ...EQ5, gain: EQ5.gain * full / 255, dark_gray: 22.3, saturation_gray: full, bit_depth: bits };
+    const { first, values } = thresholdsOf(sensor);
+    values.forEach((value, k) => {
+      const exact = ((first + k + 0.5 - sensor.dark_gray) / sensor.gain) ** (1 / sensor.gamma);
+      float[0] = value;
+      word[0]--;
+      assert.ok(float[0] < exact && exact <= value, `${bits} bits, code ${first + k + 1}`);
+    });
+  }
 });
 
 test("codes are ranks among thresholds, at each of them and one float below", () => {
@@ -89,7 +109,7 @@ test("a frame of light times a scale is that of the products as floats hold them
         return i % 11 ? float[0] : 3e-3 * next();
       });
       const products = sum.map((light) => light * scale);
-      assert.deepEqual(frameOf(sum, columns, 0, scale, ranks, whole, look, 2 ** bits),
+      assert.deepEqual(frameOf(Float64Array.from(sum), columns, 0, scale, ranks, whole, look, 2 ** bits),
         frameOf(products, columns, 0, 1, ranks, whole, look, 2 ** bits), `${bits} bits, times ${scale}`);
     }
   }
@@ -116,7 +136,7 @@ test("a band of five megapixels of twelve sources: a turned knob costs no pass o
   tell({ kind: "begin", columns, top: 0, rows });
   tell({ kind: "response", thresholds: thresholdsOf(EQ5), sensor: EQ5 });
   const light = floats(columns * rows, () => 3e-4 * next());
-  for (let k = 0; k < sources; k++) tell({ kind: "plane", plane: light.slice() });
+  for (let k = 0; k < sources; k++) tell({ kind: "plane", plane: { high: light.slice(), low: new Int8Array(light.length).fill(k), unit: 1e-15 } });
   const section = { x0: 0, y0: 0, x1: columns, y1: rows, bin: 4 };
   let levels = new Array(sources).fill(1);
   const median = (turn) => {
@@ -134,8 +154,8 @@ test("a band of five megapixels of twelve sources: a turned knob costs no pass o
   const [one, exposure] = [median((n) => levels.with(n, 0.7)), median((n) => levels.map((level) => level * 1.01))];
   assert.ok(one < all / 1.8, `one knob ${one} us, all planes ${all} us`);
   assert.ok(exposure < all / 1.8, `all knobs alike ${exposure} us, all planes ${all} us`);
-  // Planes, their sum, the light that they were made from; and a frame.
-  assert.ok(whole - before < (sources + 3) * size, `${(whole - before) / size} planes`);
+  // Planes, whose lower bits are a fourth as large, their sum, twice as large, the light that they were made from; and a frame.
+  assert.ok(whole - before < (1.25 * sources + 4) * size, `${(whole - before) / size} planes`);
   answer = null;
   const more = await held() - whole;
   assert.ok(more < size / 4, `${more / size} planes more`);
@@ -447,4 +467,19 @@ test("what is nearer is drawn later, and a decal after what it is painted on", (
   assert.deepEqual(colours({ yaw: Math.PI, pitch: 0 }), [3, 3, 4, 4, 1, 1, 2, 2]); // from behind
   assert.ok(drawn(targets, VIEWS.camera).every(({ facing }) => facing === 1));
   assert.ok(drawn(targets, VIEWS.side).every(({ facing }) => facing < 1e-9));
+});
+
+test("a worker is there before a picture needs it, and another one is started once that is drawn", (t) => {
+  t.mock.timers.enable({ apis: ["setTimeout"] });
+  const started = [];
+  globalThis.Worker = class { constructor(place) { started.push(place); } };
+  t.after(() => { delete globalThis.Worker; });
+  const server = new Server("token");
+  assert.deepEqual(started, ["/worker.js"]);
+  const [first, second] = [server.makeWorker(), server.makeWorker()]; // of a large picture
+  assert.ok(first !== second && started.length === 2);
+  t.mock.timers.tick(1000);
+  assert.equal(started.length, 3);
+  server.makeWorker();
+  assert.equal(started.length, 3);
 });
