@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -24,6 +24,7 @@ from radwrap.png_files import broken_png
 from radwrap.reading import FileKind, read_bytes
 
 Provenance = Mapping[str, Any]
+Compression = Literal["zip:1", "rle", "none"]
 _NOTHING: Final[Provenance] = MappingProxyType({})
 
 # Bits of what a file may hold as gray levels.
@@ -172,7 +173,7 @@ def write_exr(
     *,
     channel: str,
     metadata: Mapping[str, str] = _NOTHING,
-    packed: bool = True,
+    compression: Compression = "zip:1",
 ) -> None:
     """Write one channel of float32 as OpenEXR, whole or not at all.
 
@@ -186,15 +187,15 @@ def write_exr(
         Name of the channel.
     metadata : Mapping[str, str]
         Attributes to store.
-    packed : bool
-        Whether to make the file small; what lives only as long as a run is written sooner if not.
+    compression : str
+        "zip:1" makes the file smallest; "rle" takes half of the time, and hardly makes noise smaller; "none" a quarter.
 
     Raises
     ------
     EnvironmentFailure
         If the disk refuses, or does not give back what was written.
     """
-    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata, "zip:1" if packed else "none")
+    _write(path, np.ascontiguousarray(pixels, dtype=np.float32), channel, metadata, compression)
 
 
 def write_png(path: Path, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> None:

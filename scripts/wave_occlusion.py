@@ -5,7 +5,8 @@
 A slit looks at a half plane, black, before a plane that shines in a pattern. What each place on the sensor gathers is
 its field, sent back through slit and edge to that plane. Printed for each case, in per cent of the light of an even
 plane: what waves add to rays; how far that is off with light laid out where it is seen, and with what lies behind laid
-out to go on behind the edge (`radwrap.imaging.tolerance.wave_behind`); how far both differ. A minute.
+out to go on behind the edge (`radwrap.imaging.tolerance.wave_behind`); how far both differ; and what a certificate
+holds of it. A minute and a half.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from radwrap.imaging.tolerance.wave_parts import OF_HIDING, OF_UNEVEN
 
 Array = NDArray[np.float64]
 Pattern = Callable[[Array], Array]
@@ -53,6 +57,11 @@ class Case:
     far: float
     focal: float
     span: float
+
+    @property
+    def blur(self) -> float:
+        """By waves, on the sensor [m]."""
+        return WAVELENGTH * self.distance / self.side
 
     def magnification(self, depth: float) -> float:
         """Of the opening on the sensor by a point at a depth."""
@@ -100,39 +109,75 @@ def by_rays(case: Case, places: Array, pattern: Pattern) -> Array:
     return np.asarray(np.where(at_edge > 0, pattern(at_far), 0.0).mean(axis=1))
 
 
-def by_layers(case: Case, places: Array, pattern: Pattern, *, goes_on: bool) -> Array:
-    """What waves add by the layers' footprints over the central image."""
-    blur = WAVELENGTH * case.distance / case.side
-    reach = max(abs(case.magnification(depth)) for depth in (case.near, case.far)) * case.side
-    span = max(400 * blur, 8 * reach, 6e-3)
-    u = (np.arange(SAMPLES) - SAMPLES / 2) * span / SAMPLES
-    light, seen = pattern(-case.far * u / case.distance), u < 0
-    behind = np.where(seen, light, pattern(np.array([1e-9]))[0] if goes_on else 0.0)
-    frequency = np.fft.fftfreq(SAMPLES, span / SAMPLES)
-    width = np.maximum(case.side - WAVELENGTH * case.distance * np.abs(frequency), 0.0)
+@dataclass(frozen=True)
+class Layers:
+    """A line on the sensor, what is seen along it of the pattern, and what waves add to light of a depth."""
 
-    def added(values: Array, depth: float) -> Array:
-        m = case.magnification(depth)
-        passed = width / case.side * np.sinc(m * frequency * width) - np.sinc(m * frequency * case.side)
+    case: Case
+    u: Array
+    frequency: Array
+
+    @classmethod
+    def of(cls, case: Case) -> Layers:
+        """Wide enough for what waves send far."""
+        reach = max(abs(case.magnification(depth)) for depth in (case.near, case.far)) * case.side
+        span = max(400 * case.blur, 8 * reach, 6e-3)
+        step = span / SAMPLES
+        return cls(case, (np.arange(SAMPLES) - SAMPLES / 2) * step, np.fft.fftfreq(SAMPLES, step))
+
+    def added(self, values: Array, depth: float) -> Array:
+        """What waves add to light of a depth."""
+        side, m = self.case.side, self.case.magnification(depth)
+        width = np.maximum(side - WAVELENGTH * self.case.distance * np.abs(self.frequency), 0.0)
+        passed = width / side * np.sinc(m * self.frequency * width) - np.sinc(m * self.frequency * side)
         return np.asarray(np.fft.ifft(np.fft.fft(values) * passed).real)
 
-    whole = added(behind, case.far) - added(np.where(seen, 0.0, behind), case.near)
-    return np.interp(places, u, whole)
+    @property
+    def seen(self) -> Array:
+        """What share of each sample is seen beside the edge, which crosses one of them."""
+        return np.asarray(np.clip(0.5 - self.u / (self.u[1] - self.u[0]), 0.0, 1.0))
+
+    def light(self, pattern: Pattern) -> Array:
+        """Of the pattern, as if nothing hid it."""
+        return pattern(-self.case.far * self.u / self.case.distance)
+
+    def laid_out(self, pattern: Pattern, *, goes_on: bool) -> Array:
+        """What waves add by the layers' footprints over the central image."""
+        seen = self.seen
+        behind = seen * self.light(pattern) + (1 - seen) * (pattern(np.array([1e-9]))[0] if goes_on else 0.0)
+        return self.added(behind, self.case.far) - self.added((1 - seen) * behind, self.case.near)
+
+    def uneven(self, pattern: Pattern) -> list[Array]:
+        """What they add to light beside the edge less its mean, as far as it is and as near; see `Layout.uneven`."""
+        case = self.case
+        by_rays = abs(case.magnification(case.near) - case.magnification(case.far)) * case.side
+        size = 2 * math.ceil((by_rays + case.blur) / (self.u[1] - self.u[0])) + 1
+        seen = self.seen
+        cut = (seen > 0) & (uniform_filter1d(1 - seen, size) > 1 / (2 * size))
+        mean = uniform_filter1d(seen * self.light(pattern), size)[cut] / uniform_filter1d(seen, size)[cut]
+        differs = np.zeros_like(self.u)
+        differs[cut] = (by_rays / (by_rays + case.blur)) ** 2 * (self.light(pattern)[cut] - mean)
+        return [self.added(differs, depth) for depth in (case.far, case.near)]
 
 
 def row(case: Case, pattern: Pattern) -> dict[str, float]:
     """Rms over pixels about the edge [% of an even plane]."""
     blurs = [abs(case.magnification(depth)) * case.side for depth in (case.near, case.far)]
-    reach = 3 * max(WAVELENGTH * case.distance / case.side, *blurs)
+    reach = 3 * max(case.blur, *blurs)
     # Beside the middle, where rays of a sharp edge jump.
     places = np.linspace(-reach, reach, PLACES * WITHIN + 1)[:-1] + 0.0024 * reach
 
     def pixels(values: Array) -> Array:
         return values.reshape(PLACES, WITHIN).mean(axis=1)
 
-    waves = pixels(gathered(case, places, pattern) - by_rays(case, places, pattern))
-    seen, on = (pixels(by_layers(case, places, pattern, goes_on=goes_on)) for goes_on in (False, True))
+    waves, layers = pixels(gathered(case, places, pattern) - by_rays(case, places, pattern)), Layers.of(case)
+
+    def added(values: Array) -> Array:
+        return pixels(np.interp(places, layers.u, values))
+
+    seen, on = (added(layers.laid_out(pattern, goes_on=goes_on)) for goes_on in (False, True))
     parts = {"waves": waves, "seen off": seen - waves, "going on off": on - waves, "apart": on - seen}
+    parts["held"] = OF_HIDING * parts["apart"] + OF_UNEVEN * np.hypot(*map(added, layers.uneven(pattern)))
     return {name: 100 * math.sqrt(float(np.mean(values**2))) for name, values in parts.items()}
 
 
@@ -147,7 +192,7 @@ def patterns(width: float) -> dict[str, Pattern]:
 
 def main() -> int:
     """Print all cases."""
-    print(f"{'case':28}{'light behind':22}{'waves':>8}{'seen off':>10}{'going on off':>14}{'apart':>8}")
+    print(f"{'case':28}{'light behind':22}{'waves':>8}{'seen off':>10}{'going on off':>14}{'apart':>8}{'held':>8}")
     for case in cases():
         blur = max(WAVELENGTH * case.far / case.side, abs(case.magnification(case.far)) * case.side * case.far)
         for width in (blur, 4 * blur):
@@ -158,7 +203,7 @@ def main() -> int:
                 what = name if name == "even" else f"{name}, {1e3 * width:.2f} mm"
                 print(
                     f"{case.name:28}{what:22}{found['waves']:8.2f}{found['seen off']:10.2f}"
-                    f"{found['going on off']:14.2f}{found['apart']:8.2f}",
+                    f"{found['going on off']:14.2f}{found['apart']:8.2f}{found['held']:8.2f}",
                     flush=True,
                 )
     return 0

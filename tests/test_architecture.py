@@ -90,6 +90,7 @@ ROOMS = {
             "forecast",
             "output",
             "wave_shares",
+            "wave_rays",
             "with_waves",
             "forecasting",
             "other_camera",
@@ -212,6 +213,7 @@ READ_ELSEWHERE = {
     "convert/ies_files.py": {"file.read_bytes": "what ies2rad left in a folder of our own"},
     "descendants.py": {"(place / 'environ').read_bytes": "processes of this machine"},
     "face/assets.py": {"entry.read_bytes": "the package's own files"},
+    "manifest.py": {"told.read_text": "of packages that are installed"},
     "face/renderer.py": {"path.read_bytes": "what the page's server has just written"},
     "face/serve.py": {"os.open": "writes", "os.fdopen": "writes"},
     "files.py": {

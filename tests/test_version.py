@@ -4,6 +4,8 @@ import tomllib
 from importlib.metadata import metadata, version
 from pathlib import Path
 
+from radwrap.manifest import COMPILER_PACKAGES, STUDY_PACKAGES, versions
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -24,3 +26,11 @@ def test_nothing_is_invented_of_whom_and_where() -> None:
         "License-Expression has it"
     )
     assert told["License-Expression"] == "BSD-3-Clause"
+
+
+def test_versions_are_those_that_packages_tell() -> None:
+    """Radwrap looks for one line of what is told of a package; Python reads all of it."""
+    named = ("numpy", "scipy", "pydantic", *STUDY_PACKAGES, *COMPILER_PACKAGES)
+    found = versions(*named)
+    assert {name: found[name] for name in named} == {name: version(name) for name in named}
+    assert versions("radwrap-of-nobody")["radwrap-of-nobody"] == "not installed"

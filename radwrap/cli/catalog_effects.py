@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     from radwrap.imaging.output.assumed_values import assumed_ends, effects_of
     from radwrap.imaging.output.image_files import read_exposure
     from radwrap.imaging.output.run_manifest import read_run_manifest
-    from radwrap.imaging.relight.basis import FOLDER
+    from radwrap.imaging.relight.basis_files import FOLDER
     from radwrap.imaging.relight.relit import Basis
     from radwrap.imaging.relighting import assumptions_of_run, basis_of, lights_of_levels
     from radwrap.imaging.response.sensor import gray_levels, image_of_levels

@@ -280,6 +280,8 @@ def _lines(found: Mapping[str, Any]) -> Iterator[str]:
     causes = found["causes"]
     shift = "" if causes["shift"] is None else " by {:.2f}, {:.2f} px".format(*causes["shift"])
     factor = "" if causes["exposure_factor"] is None else f" x {causes['exposure_factor']:.3f}"
+    if factor:  # a prediction without a dark place has another smallest level than a sensor without light
+        factor += f" above {causes['dark_gray']:.4g} gray"
     geometry = "not known" if causes["geometry"] is None else f"{causes['geometry']:.3g}"
     yield (
         f"rms that stays: as is {causes['as_is']:.3g}, after dark level {causes['dark_level']:.3g}, "

@@ -32,7 +32,7 @@ from radwrap.imaging.forecast.rehearsal import (
     seconds_per_ray,
     timed,
 )
-from radwrap.imaging.forecast.wave_rehearsal import rehearsed_waves
+from radwrap.imaging.forecast.wave_rehearsal import ForeseenWaves, rehearsed_waves
 from radwrap.imaging.mean_radiance import fixed_method, viewpoint_plan
 from radwrap.imaging.methods.kernel import KernelPlan
 from radwrap.imaging.methods.smooth_blocks import with_known
@@ -46,7 +46,6 @@ from radwrap.imaging.tolerance.lit_noise import ToleranceAsked, with_gray_tolera
 from radwrap.imaging.tolerance.planner import Search
 from radwrap.imaging.tolerance.replicates import Plan, Work
 from radwrap.imaging.tolerance.sampling import even_plan
-from radwrap.imaging.tolerance.wave_plan import WavePlan
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.imaging.with_waves import foreseen_waves, rays_that_tell
 from radwrap.process import Programs, available_cores
@@ -128,9 +127,10 @@ class Stage:
             # All that follows has the blocks that the search found smooth.
             work = replace(self.work, view=what.view)
             parts["what is left out"] = self._telling(work.view, image.rays)
-            waves = foreseen_waves(self.traced.scene, self.options, work, image.replicates)
+            waves = foreseen_waves(self.traced.scene, self.options, work, image.plan, image.replicates)
             if waves is not None:
-                found = rehearsed_waves(what.view, *waves, 1 if self.options.bounces else len(self.traced.lights()))
+                number = 1 if self.options.bounces else len(self.traced.lights())
+                found = rehearsed_waves(what.view, waves, number)
                 parts["diffraction"] = found.seconds
                 rays += found.rays
             if self.options.basis and image.plan is not None:
@@ -210,7 +210,7 @@ class Stage:
         expected = search.plans.forecast(method, aim) or USUAL_RAYS * plan.camera.sensor.pixels
         return rehearsed(work, plan, number, expected, self.longest)
 
-    def _basis(self, work: Work, plan: Plan, replicates: int, waves: tuple[WavePlan, int] | None) -> float:
+    def _basis(self, work: Work, plan: Plan, replicates: int, waves: ForeseenWaves | None) -> float:
         """The same rays in the light of each source: one view for some of them, or one for each."""
         names = shining(self.traced.scene, self.traced.prepared, "basis")
         first = self.traced.views_of(names)[0]
@@ -218,7 +218,7 @@ class Stage:
             first = with_known(first, smooth)
         seconds = rehearsed_basis(work, plan, replicates, first)
         if waves is not None:
-            seconds += rehearsed_waves(work.view, *waves, 1, lit=first).seconds
+            seconds += rehearsed_waves(work.view, waves, 1, lit=first).seconds
         return seconds * len(names) / len(first.names)
 
     def cheaper(self, what: Search | ViewpointPlan, parts: Mapping[str, float]) -> tuple[Cheaper, ...]:

@@ -71,6 +71,7 @@ class BasisFile:
     smooth_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     every_pixel: bool = False
     waves: WavesFile | None = None
+    parts: list[tuple[InnerName, Count, Count]] | None = None  # with rows and columns, where one file holds all
 
     def __post_init__(self) -> None:
         sensor = self.camera.sensor

@@ -11,12 +11,12 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import EllipsisType
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,17 +42,19 @@ from radwrap.imaging.output.identity import Identity, identity_of
 from radwrap.imaging.output.image_files import write_images
 from radwrap.imaging.output.run_manifest import Bounces, Timing, write_run_manifest
 from radwrap.imaging.output.sigma_file import write_sigma
-from radwrap.imaging.output.traced_run import TracedRun
+from radwrap.imaging.output.traced_run import TracedRun, magnification_of
 from radwrap.imaging.output.truth_files import write_truth
-from radwrap.imaging.relight.basis import FOLDER, shining, write_basis
+from radwrap.imaging.relight.basis import shining, write_basis
+from radwrap.imaging.relight.basis_files import FOLDER
 from radwrap.imaging.render_options import Method, RenderOptions, TracerName
 from radwrap.imaging.rendered import Rendered, load_result
 from radwrap.imaging.tolerance.kept_replicates import kept, write_replicates
 from radwrap.imaging.tolerance.lit_noise import with_gray_tolerance
 from radwrap.imaging.tolerance.pace import Pace
 from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.uncertainty import seen_magnifications, share_spread
+from radwrap.imaging.tolerance.uncertainty import share_spread
 from radwrap.imaging.tracing import LaidOutScene
+from radwrap.imaging.wave_rays import tiles_for_waves
 from radwrap.imaging.with_waves import WithWaves, refuse_waves, with_waves
 from radwrap.kept import Kept
 from radwrap.manifest import plain, sha256_of_value
@@ -61,6 +63,7 @@ from radwrap.progress import Progress, Progressed
 from radwrap.scene.scene import Scene
 from radwrap.watched import watched
 
+_T = TypeVar("_T")
 _VIEWPOINTS: Final = "viewpoints"
 _WORK: Final = ".work"
 _MADE: Final = "made"
@@ -178,7 +181,7 @@ def render(
     }
     changes = {name: value for name, value in given.items() if value is not ...}
     options = options or RenderOptions()
-    return rendered(scene, out, options, changes=changes, cancelled=cancelled, progress=progress)
+    return rendered(scene, out, options, load_result, changes=changes, cancelled=cancelled, progress=progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,23 +194,27 @@ class Warmth:
         What they have in common.
     folder : Path
         For results that nobody wants in a folder.
+    brief : bool
+        See `WarmScene.leave`.
     """
 
     kept: Kept
     folder: Path
+    brief: bool = False
 
 
 def rendered(
     scene: Scene,
     out: str | Path | None,
     options: RenderOptions,
+    then: Callable[[Scene, Path], _T],
     *,
     changes: Mapping[str, Any],
     cancelled: Callable[[], bool] | None,
     progress: bool | Callable[[Progressed], object] | None,
     warmth: Warmth | None = None,
-) -> Rendered:
-    """As `render`, of a cold scene or a warm one: the result is the same."""
+) -> _T:
+    """As `render`, of a cold scene or a warm one: the result is the same, and what is `then` read of its folder."""
     told = progress if callable(progress) else None
     if progress is not None and told is None:
         changes = {**changes, "progress": progress}
@@ -216,7 +223,7 @@ def rendered(
     refuse_waves(scene, options)
     refuse_for_mosaic(scene, options)
     refuse_for_time(scene, options)
-    rays, replicates = usual_rays(scene, options), _kept_replicates(options)
+    rays, replicates = usual_rays(scene, options), 0 if options.sampling is None else options.sampling.replicates
     check_size(scene, options.max_pixels, rays, cores(options), replicates=replicates)
     if out is None:
         for name in ("frames", "basis", "keep_viewpoints"):
@@ -228,7 +235,7 @@ def rendered(
                 )
     with Programs() as programs:
         count = Progress("tracing", 1, shown=options.progress)
-        make = partial(_render, scene, out, options, programs=programs, progress=count, warmth=warmth)
+        make = partial(_render, scene, out, options, then, programs=programs, progress=count, warmth=warmth)
         if cancelled is None and told is None:
             return make()
         return watched(make, programs, count, cancelled, told)
@@ -238,26 +245,22 @@ def _render(
     scene: Scene,
     out: str | Path | None,
     options: RenderOptions,
+    then: Callable[[Scene, Path], _T],
     *,
     programs: Programs,
     progress: Progress,
     warmth: Warmth | None,
-) -> Rendered:
-    if out is None:
-        with tempfile.TemporaryDirectory(prefix="radwrap-", dir=warmth.folder if warmth else None) as folder:
-            return _render_into(scene, Path(folder), options, programs=programs, progress=progress, warmth=warmth)
-    make_folder(Path(out))
-    return _render_into(scene, Path(out), options, programs=programs, progress=progress, warmth=warmth)
-
-
-def _kept_replicates(options: RenderOptions) -> int:
-    """Images that are kept beside the result."""
-    return 0 if options.sampling is None else options.sampling.replicates
+) -> _T:
+    nowhere = partial(tempfile.TemporaryDirectory, prefix="radwrap-", dir=warmth.folder if warmth else None)
+    with nowhere() if out is None else nullcontext(out) as folder:
+        make_folder(Path(folder))
+        _render_into(scene, Path(folder), options, programs=programs, progress=progress, warmth=warmth)
+        return then(scene, Path(folder))
 
 
 def _render_into(
     scene: Scene, out: Path, options: RenderOptions, *, programs: Programs, progress: Progress, warmth: Warmth | None
-) -> Rendered:
+) -> None:
     start, cpu = time.monotonic(), children_cpu_time()
     with sole_owner(out):
         for name in ALWAYS:
@@ -271,16 +274,16 @@ def _render_into(
         try:
             if scene.camera.sensor.mosaic is not None:
                 make_mosaic(scene, out, options, work=work / _MADE, render_plane=plane, check=programs.check)
-                return load_result(scene, out)
+                return
             if (still := steady(scene, basis=options.basis)) is None:
                 make_in_time(scene, out, options, work=work / _MADE, render_still=plane, programs=programs)
-                return load_result(scene, out)
+                return
+            kept = None if warmth is None else warmth.kept
             for meanwhile in (warmth is not None, False):
-                kept = None if warmth is None else warmth.kept
                 traced = LaidOutScene(still, options, programs, work, kept=kept, compared_meanwhile=meanwhile)
                 with closing(traced), suppress(_TracersDiffer):
                     known_by = identity_of(still, options, traced)
-                    run = _Run(still, options, programs, progress, traced, known_by, out, work / _MADE, kept)
+                    run = _Run(still, options, programs, progress, traced, known_by, out, work / _MADE, warmth)
                     if not _is_finished(run):
                         _carry_out(run, start, cpu)
                     _clean_up(run)
@@ -289,7 +292,6 @@ def _render_into(
             raise disk_failure(Path(error.filename or out), error) from error
         finally:
             shutil.rmtree(work, ignore_errors=True)
-        return load_result(scene, out)
 
 
 def _plane_into(
@@ -305,7 +307,8 @@ def _plane_into(
     """One colour of a mosaic, or one instant of a scene that moves; of instants it is known how many are left."""
     make_folder(out)
     progress.restart() if instants_left is None else progress.begin_part(instants_left)
-    return _render_into(scene, out, options, programs=programs, progress=progress, warmth=warmth)
+    _render_into(scene, out, options, programs=programs, progress=progress, warmth=warmth)
+    return load_result(scene, out)
 
 
 class _TracersDiffer(Exception):
@@ -324,7 +327,7 @@ class _Run:
     identity: Identity
     out: Path
     made: Path
-    kept: Kept | None
+    warmth: Warmth | None
 
     @property
     def pieces(self) -> Path:
@@ -332,8 +335,9 @@ class _Run:
         return self.out / _VIEWPOINTS
 
     @property
-    def workers(self) -> int:
-        return cores(self.options)
+    def pictures(self) -> Path | None:
+        """Folder of the images, where there are to be any."""
+        return None if self.warmth is not None and self.warmth.brief else self.made
 
 
 def _is_finished(run: _Run) -> bool:
@@ -357,11 +361,11 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
         raise _TracersDiffer
     found = replace(found, tracer=run.traced.tracer_used)
     run.programs.check()
-    images, files = write_images(run.made, found.made.radiance, run.scene.camera, run.programs.check)
+    images, files = write_images(run.pictures, found.made.radiance, run.scene.camera, run.programs.check)
     files += basis
     if found.made.outcome is not None and run.options.sampling is not None:
         files += write_replicates(run.made, kept(found.made.outcome.replicates, found.exposure_of_radiance))
-    uncertainty, more = write_sigma(run.made, found)
+    uncertainty, more = write_sigma(run.pictures, found)
     files += more
     files += write_frames(run.made, run.scene.camera.sensor, run.options.frames, run.options.seed)
     if run.options.truth:
@@ -369,7 +373,7 @@ def _carry_out(run: _Run, start: float, cpu: float) -> None:
     timing = Timing(
         wall_s=time.monotonic() - start,
         tracer_cpu_s=children_cpu_time() - cpu + run.traced.tracer_cpu_s,
-        workers=run.workers,
+        workers=cores(run.options),
         reused_viewpoints=found.made.reused,
         forecast=found.foretold,
     )
@@ -405,7 +409,7 @@ def _trace(run: _Run) -> tuple[TracedRun, list[str]]:
         # Light that walks from surface to surface is not told apart.
         lights = (lambda: (light_of_all(scene, work.view),)) if orders else traced.lights
         waves = with_waves(scene, left, work, rays, finer, lights=lights, pace=pace)
-        spread, magnification = _spread(run), _magnification(scene, view)
+        spread, magnification = _spread(run), magnification_of(scene, view)
         shares = level_shares(scene, traced.view_of, options.seed, complete=not traced.prepared.shining_files)
         basis = _write_basis(run, work, magnification, waves)
     finally:
@@ -439,9 +443,10 @@ def _with_bounces(run: _Run, view: View, orders: Bounces) -> tuple[Work, RenderO
         view = run.traced.bouncing_view(None if isinstance(orders, str) else orders)
         options = replace(options, method="rays")
         known_by = sha256_of_value({"scene": known_by, "bounces": orders})
-    in_memory = run.kept is not None and run.scene.camera.sensor.pixels <= _MOST_IN_MEMORY
+    in_memory = run.warmth is not None and run.scene.camera.sensor.pixels <= _MOST_IN_MEMORY
     pieces = Pieces(run.pieces, in_memory=True) if in_memory else None
-    return Work(view, run.pieces, run.programs, run.progress, known_by, options.seed, pieces, run.kept), options
+    known = run.warmth.kept if run.warmth else None, tiles_for_waves(run.scene, options)
+    return Work(view, run.pieces, run.programs, run.progress, known_by, options.seed, pieces, *known), options
 
 
 def _made_to(scene: Scene, options: RenderOptions, work: Work, tolerance: float, *, relit: bool) -> Made:
@@ -464,9 +469,8 @@ def _write_basis(run: _Run, work: Work, magnification: NDArray[np.float64] | Non
         "versions": identity.versions,
         **({} if scene.tolerances is None else {"tolerances": plain(scene.tolerances)}),
     }
-    return write_basis(
-        run.made, work, views, outcome, told, magnification=magnification, waves=waves.plan, lights=waves.lights
-    )
+    write = partial(write_basis, run.made, work, views, outcome, told, waves=waves.plan, lights=waves.lights)
+    return write(magnification=magnification, in_one=run.pictures is None)
 
 
 def _spread(run: _Run) -> NDArray[np.float64] | None:
@@ -476,14 +480,6 @@ def _spread(run: _Run) -> NDArray[np.float64] | None:
         return None
     names = run.identity.sources or shining(run.scene, run.traced.prepared, "tolerances.each_source_radiance")
     return share_spread([run.traced.view_of(name) for name in names])
-
-
-def _magnification(scene: Scene, view: View) -> NDArray[np.float64] | None:
-    """How much a wider opening blurs each pixel, where a lens has one that is not sure."""
-    tolerances = scene.tolerances
-    if scene.camera.lens is None or tolerances is None or not tolerances.aperture_diameter:
-        return None
-    return seen_magnifications(view)
 
 
 def _clean_up(run: _Run) -> None:

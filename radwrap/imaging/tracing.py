@@ -275,7 +275,7 @@ class LaidOutScene:
                 name for source in self.scene.sources if source.name in group.sources for name in _switched(source)
             )
             view = self._view(self._lit(self._engine, self.scene, f"light{number}", names))
-            found.append(Light(view, group.wavelength, group.spread, names))
+            found.append(Light(view, group.wavelength, group.spread, names, group.deviation))
         return tuple(found)
 
     def views_of(self, sources: Sequence[str]) -> tuple[LitView, ...]:

@@ -8,12 +8,12 @@ import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from radwrap.errors import InputError
 from radwrap.files import disk_in_memory
 from radwrap.imaging.render_options import RenderOptions
-from radwrap.imaging.rendered import Rendered
+from radwrap.imaging.rendered import Rendered, load_result
 from radwrap.imaging.synthesis import Warmth, rendered
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.kept import Kept
@@ -22,6 +22,7 @@ from radwrap.progress import Progressed
 from radwrap.scene.file.load import scene_from_document
 from radwrap.scene.scene import Scene
 
+_T = TypeVar("_T")
 # byte; what a warm scene keeps at most: hits of ten million rays.
 KEPT_AT_MOST: Final = 256 << 20
 
@@ -97,19 +98,41 @@ class WarmScene:
         InputError, EnvironmentFailure, Cancelled
             As `render`; the first also after `close`.
         """
+        how: dict[str, Any] = {"cancelled": cancelled, "progress": progress, "changes": changes}
+        return self._made(self._changed(scene), out, load_result, **how)
+
+    def leave(
+        self,
+        scene: Scene,
+        out: Path,
+        *,
+        brief: bool,
+        cancelled: Callable[[], bool],
+        progress: Callable[[Progressed], object],
+        **changes: Any,
+    ) -> None:
+        """As `render`, into a folder that another process reads: here nothing of it is read.
+
+        It may be `brief` where that process is of this radwrap, and wants the basis only: its parts are one file then,
+        and there are no pictures, which takes less time.
+        """
+        how: dict[str, Any] = {"cancelled": cancelled, "progress": progress, "changes": changes}
+        self._made(scene, out, lambda _scene, _out: None, brief=brief, **how)
+
+    def _made(
+        self,
+        scene: Scene,
+        out: str | Path | None,
+        then: Callable[[Scene, Path], _T],
+        *,
+        brief: bool = False,
+        **how: Any,
+    ) -> _T:
         with self._one:
             if self._folder is None:
                 raise InputError("is closed", where="warm", remedy="lay the scene out again")
-            warmth = Warmth(self._kept, self._folder)
-            return rendered(
-                self._changed(scene),
-                out,
-                self._options,
-                changes=changes,
-                cancelled=cancelled,
-                progress=progress,
-                warmth=warmth,
-            )
+            warmth = Warmth(self._kept, self._folder, brief)
+            return rendered(scene, out, self._options, then, warmth=warmth, **how)
 
     def _changed(self, scene: Scene | Mapping[str, Any] | None) -> Scene:
         if isinstance(scene, Scene):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -15,21 +14,21 @@ from radwrap.errors import InputError
 from radwrap.imaging.demand import FINEST_CELL, REPLICATES
 from radwrap.imaging.forecast.effects import Effect, diffraction_left_out
 from radwrap.imaging.forecast.wave_change import MOST_RAYS
+from radwrap.imaging.forecast.wave_rehearsal import ForeseenWaves
 from radwrap.imaging.mean_radiance import Made, fixed_method
 from radwrap.imaging.methods.kernel import TooDeep
-from radwrap.imaging.methods.pieces import run_jobs
 from radwrap.imaging.methods.smooth_blocks import with_known
-from radwrap.imaging.optics.diffraction import Light, light_of_all, wavelength_of
+from radwrap.imaging.optics.diffraction import Light, light_of_all
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.output.run_manifest import DiffractionTaken
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.cells_in_common import own_change, smaller_cell
 from radwrap.imaging.tolerance.pace import Pace
-from radwrap.imaging.tolerance.replicates import Work
-from radwrap.imaging.tolerance.wave_far import OF_FAR, strata_for
+from radwrap.imaging.tolerance.replicates import Plan, Work
 from radwrap.imaging.tolerance.wave_image import WaveError, look, seen_rms, visible_gray, wave_error
-from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
+from radwrap.imaging.tolerance.wave_parts import WaveParts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
+from radwrap.imaging.wave_rays import TWO, Asked, Waves
 from radwrap.imaging.wave_shares import (
     FINER,
     LEAST_LEFT,
@@ -53,12 +52,9 @@ _FEWEST: Final = 1 << 13
 _AIM: Final = 0.7  # of what the image leaves of the tolerance, each of both replicates: their mean has half of it
 _USUAL: Final = 0.7  # of the tolerance, about what an image takes of it
 _TRIES: Final = 3  # plans of waves
-_FAR_SHARE: Final = 0.3  # of the tolerance, what the law of far light may be off by
-_FAR_NOISE: Final = 0.1  # of the tolerance, what noise of far light may be, were all light noise
-_TWO: Final = 2  # replicates, where nothing is made of them but their mean
-# Degrees of freedom by which noise is known: its bound is then 1.4 of it. Two replicates have one for each block over
-# which errors hang together, and where a small image has few blocks more replicates are made.
-_DEGREES: Final = 24
+# Of the tolerance, what no rays make smaller may leave to the image and to rays and cells of waves: each gets .42 of it
+# then. With .55 left, rad_scenes/cells/backlight.toml took five times as long for .52 in place of .66, with .5 asked.
+_LEAST_LEFT_TO_ALL: Final = 0.6
 # Of the tolerance, what waves may add to the error of images that are compared; and cells by which a plan of them is
 # tried first, at least, where waves change less than that.
 _EVEN_SHARE: Final = 0.4
@@ -93,82 +89,6 @@ class WithWaves:
     blur_slope: Array | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Waves:
-    """How waves of one image are traced."""
-
-    scene: Scene
-    options: RenderOptions
-    work: Work
-    lights: Sequence[Light]
-    about_rms: float = 0.0  # what they change [gray level]
-    seen_rms: float = 0.0  # of the light that is seen [gray level]
-
-    @property
-    def wavelength(self) -> float:
-        """Of all light, for the choice of rays."""
-        return wavelength_of(self.scene)[0]
-
-    @property
-    def by_bands(self) -> float:
-        """What one wavelength that stands for several may change, rms [gray level]."""
-        return self.about_rms * max(light.spread for light in self.lights)
-
-    @property
-    def even_cell(self) -> float | None:
-        """Cells of a plan of many images, which no light decides."""
-        return None if self.options.sampling is None else self.options.sampling.wave_cell
-
-    @property
-    def far(self) -> float:
-        """Share of the light that may go farther than the guard band; of images that are compared no light decides."""
-        if self.even_cell is not None or not self.seen_rms:
-            return 1.0
-        return min(1.0, _FAR_SHARE * self.options.gray_tolerance / (OF_FAR * self.seen_rms))
-
-    def plan(self, aim: float, of_cells: float, most_cell: float = math.inf, *, again: bool = False) -> WavePlan:
-        """Rays for errors of a replicate by their number, and by the size of their cells [gray level].
-
-        The latter is a guess; where it was wrong, these are no larger than `most_cell` [px]. What is bright beside the
-        sensor may need more rays for far light than what is seen on it lets expect: `again`.
-        """
-        share = of_cells / self.about_rms if self.about_rms > of_cells else 1.0
-        planned = partial(plan_waves, self.work.view, self.wavelength, aim, self.options.seed)
-        plan = planned(share=share, most_cell=most_cell, far=self.far, even_cell=self.even_cell)
-        if self.even_cell is not None or not self.seen_rms or again:
-            return plan
-        return replace(plan, far_strata=strata_for(plan, self.seen_rms, _FAR_NOISE * self.options.gray_tolerance))
-
-    def replicates(self, made: Made, plan: WavePlan) -> int:
-        """As many as the image has, where each is kept; else so many that their noise is known."""
-        if (self.options.basis or self.options.sampling is not None) and made.outcome is not None:
-            return len(made.outcome.replicates.images)
-        return self.fewest_replicates(plan)
-
-    def fewest_replicates(self, plan: WavePlan) -> int:
-        """So many that their noise is known."""
-        sensor = self.scene.camera.sensor
-        blocks = math.ceil(sensor.rows / plan.block) * math.ceil(sensor.columns / plan.block)
-        return max(_TWO, 1 + math.ceil(_DEGREES / blocks))
-
-    def kept_or_anew(self, parts: WaveParts, plan: WavePlan, made: Made) -> tuple[WaveParts, int]:
-        """What waves add, in as many replicates as an image has that was made anew; and how many rays that took."""
-        replicates = self.replicates(made, plan)
-        if len(parts.change) == replicates:
-            return parts, 0
-        parts = self.parts(plan, replicates)
-        return parts, parts.rays
-
-    def parts(
-        self, plan: WavePlan, replicates: int, told_by: Callable[[WavePlan], WavePlan] = lambda plan: plan
-    ) -> WaveParts:
-        work = self.work
-        work.progress.left(replicates * len(self.lights) * self.scene.camera.sensor.pixels)
-        plans = [(light.view, told_by(plan.at(light.wavelength))) for light in self.lights]
-        run = partial(run_jobs, programs=work.programs, workers=work.view.workers)
-        return wave_parts(work.view, plans, replicates, progress=work.progress.add, run=run)
-
-
 @dataclass(slots=True, eq=False)
 class _Image:
     """The image that waves are added to: it is made anew, finer, once at most."""
@@ -185,7 +105,7 @@ class _Image:
             both = sorted((self.again(tolerance), known), key=lambda made: made.certificate.rms_gray_upper95)
             self.made, self.taken = both[0], self.taken + both[1].used.rays
 
-    def added(self, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
+    def added(self, plan: WavePlan, parts: WaveParts, waves: Waves, rays: int) -> tuple[Made, WaveError]:
         """The image with what waves add, which took so many rays more."""
         self.taken += rays
         return _added(self.made, plan, parts, waves, self.taken)
@@ -233,8 +153,10 @@ def rays_that_tell(scene: Scene, rays: float) -> int:
     return min(MOST_RAYS, max(_FEWEST, round(share * rays)))
 
 
-def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates: int) -> tuple[WavePlan, int] | None:
-    """By which rays, and how many sets of them, waves are expected to be taken, of an image of so many replicates.
+def foreseen_waves(
+    scene: Scene, options: RenderOptions, work: Work, image: Plan | None, replicates: int
+) -> ForeseenWaves | None:
+    """By which rays waves are expected to be taken, of an image by a plan in so many replicates.
 
     None where they are not, or cannot be.
     """
@@ -247,14 +169,15 @@ def foreseen_waves(scene: Scene, options: RenderOptions, work: Work, replicates:
     seen = (
         0.0 if options.sampling is not None else seen_rms(look(work.view), work.view)
     )  # it decides nothing of such images
-    waves = _Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, seen)
+    waves = Waves(scene, options, work, (light_of_all(scene, work.view),), found.rms_gray, seen)
     left = math.sqrt(1 - _USUAL**2) * options.gray_tolerance
     try:
-        plan = waves.plan(_AIM * left, OF_CELLS * left)
+        plan = waves.plan(Asked(_AIM * left, OF_CELLS * left))
     except TooDeep:
         return None
-    each_is_kept = options.basis or options.sampling is not None
-    return plan, replicates if each_is_kept else waves.fewest_replicates(plan)
+    by_own_rays = waves.suffice(image, replicates, plan)
+    each_is_kept = options.basis or options.sampling is not None or by_own_rays
+    return ForeseenWaves(plan, replicates if each_is_kept else waves.fewest_replicates(plan), by_own_rays)
 
 
 def with_waves(
@@ -299,8 +222,11 @@ def with_waves(
         return WithWaves(made, None, None)
     work.programs.check()
     rays = rays_that_tell(scene, made.used.rays)
-    found = diffraction_left_out(scene, work.view, options.seed, options.gray_tolerance, rays)
+    asked = options.gray_tolerance
+    found = diffraction_left_out(scene, work.view, options.seed, asked, rays, image=made.radiance)
     if not _is_taken(scene, options, made, found):
+        if work.seen is not None:
+            work.seen.clear()
         return WithWaves(made, found, None)
     more_may_help = options.sampling is None
     image = _Image(made, found.rays, again)
@@ -310,7 +236,7 @@ def with_waves(
     smooth = None if image.made.outcome is None else image.made.outcome.smooth
     work = replace(work, view=replace(work.view, smooth=smooth))
     known = _with_smooth(lights(), smooth)
-    waves = _Waves(scene, options, work, known, found.rms_gray, seen_rms(image.made.radiance, work.view))
+    waves = Waves(scene, options, work, known, found.rms_gray, seen_rms(image.made.radiance, work.view))
     try:
         added = _to_tolerance(image, waves, pace)
     except TooDeep as error:
@@ -332,7 +258,7 @@ def _with_smooth(lights: tuple[Light, ...], smooth: SmoothField | None) -> tuple
     return tuple(with_known(light, smooth) for light in lights)
 
 
-def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
+def _to_tolerance(image: _Image, waves: Waves, pace: Pace) -> _Added:
     """Add waves, by more rays and smaller cells where these keep the whole from its tolerance, or to a finer image.
 
     Raises
@@ -342,36 +268,36 @@ def _to_tolerance(image: _Image, waves: _Waves, pace: Pace) -> _Added:
     """
     tolerance, more_may_help = waves.options.gray_tolerance, waves.options.sampling is None
     left = left_to_waves(tolerance, image.made)
-    aim, of_cells, most_cell, again = _AIM * left, OF_CELLS * left, math.inf, False
+    asked = Asked(_AIM * left, OF_CELLS * left)
     for tries_left in reversed(range(_TRIES if more_may_help else 1)):
         pace.begin()
-        plan = waves.plan(aim, of_cells, most_cell, again=again)
-        parts = waves.parts(plan, waves.replicates(image.made, plan))
+        plan, parts = waves.planned(image.made, asked)
         whole, off = image.added(plan, parts, waves, parts.rays)
         pace.end()
         if _is_met(whole) or not _is_met(image.made) or not more_may_help or pace.is_spent():
             break
-        if (left_to_all := _square_left(tolerance, waves, off)) <= (FINER * tolerance) ** 2:
+        if (left_to_all := _square_left(tolerance, waves, off)) <= (_LEAST_LEFT_TO_ALL * tolerance) ** 2:
             break  # no rays make smaller what takes the rest
         if image.may_be_finer and (not tries_left or not _more_rays_may_do(image.made, waves, off, LEAST_LEFT)):
             image.make_finer(min(LESS * tolerance, left_to_image(left_to_all, off)))
-            parts, rays = waves.kept_or_anew(parts, plan, image.made)
-            whole, off = image.added(plan, parts, waves, rays)
+            known = parts
+            plan, parts = waves.kept_or_anew(plan, known, image.made, asked)
+            whole, off = image.added(plan, parts, waves, 0 if parts is known else parts.rays)
         if _is_met(whole) or not _more_rays_may_do(image.made, waves, off):
             break
         least = LESS if tries_left > 1 else FINER  # the last one is to do
         of_noise, of_size = finer(tolerance, image.made, off, least=least)
-        aim, of_cells, again = of_noise * aim, of_size * of_cells, True
+        asked = replace(asked, aim=of_noise * asked.aim, of_cells=of_size * asked.of_cells, again=True)
         if of_size < 1 and image.made.outcome is not None:
-            most_cell = smaller_cell(image.made.outcome, plan)
-    return _Added(whole, off, replace(plan, sampling=parts.sampling), parts, aim)
+            asked = replace(asked, most_cell=smaller_cell(image.made.outcome, plan))
+    return _Added(whole, off, replace(plan, sampling=parts.sampling), parts, asked.aim)
 
 
-def _blur_slope(waves: _Waves, added: _Added) -> Array:
+def _blur_slope(waves: Waves, added: _Added) -> Array:
     """Relative change of the light with the logarithm of the opening's diameter, by what waves do."""
     work, light = waves.work, added.whole.radiance
     usual = plan_waves(work.view, waves.wavelength, added.aim, waves.options.seed)
-    changed = waves.parts(usual, _TWO, by_diameter).change.mean(axis=0)
+    changed = waves.parts(usual, TWO, by_diameter).change.mean(axis=0)
     return np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
 
 
@@ -390,10 +316,10 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
     if camera.diffraction == "auto" and not found.needed:
         return None
     lights = (light_of_all(scene, work.view),)
-    waves = _Waves(scene, replace(options, sampling=None), work, lights, found.rms_gray)
+    waves = Waves(scene, replace(options, sampling=None), work, lights, found.rms_gray)
     aim = _EVEN_SHARE * tolerance
     try:
-        cell = waves.plan(aim, aim).kernel.grid.cell
+        cell = waves.plan(Asked(aim, aim)).kernel.grid.cell
         if found.rms_gray <= aim:  # cells of any size show waves to within about what they change
             cell = max(cell, _COARSEST_EVEN)
         while cell > FINEST_CELL and not _do_even_cells(waves, cell, aim):
@@ -403,13 +329,13 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
     return cell
 
 
-def _do_even_cells(waves: _Waves, cell: float, aim: float) -> bool:
+def _do_even_cells(waves: Waves, cell: float, aim: float) -> bool:
     """Whether waves by even cells [px] are off by less than an aim in the mean of all replicates, rms [gray level]."""
     work = waves.work
     plan = plan_waves(work.view, waves.wavelength, 0.0, waves.options.seed, even_cell=cell)
-    parts = waves.parts(plan, _TWO)
+    parts = waves.parts(plan, TWO)
     found = _error(plan, parts, np.maximum(look(work.view, whole=True) + parts.change.mean(axis=0), 0.0), work)
-    return found.noise.mean * _TWO / REPLICATES + found.cells <= aim**2
+    return found.noise.mean * TWO / REPLICATES + found.cells <= aim**2
 
 
 def _told_wavelengths(lights: Sequence[Light]) -> tuple[float, ...] | None:
@@ -436,7 +362,7 @@ def _is_met(made: Made) -> bool:
     return made.outcome is None or made.outcome.met
 
 
-def _more_rays_may_do(made: Made, waves: _Waves, off: WaveError, share: float = 0.0) -> bool:
+def _more_rays_may_do(made: Made, waves: Waves, off: WaveError, share: float = 0.0) -> bool:
     """Whether the image and what its waves are off by anyway would leave a share of what is asked to rays and cells."""
     known, demand = beside_waves(made), waves.options.demand
     parts = known.rms_gray_upper95, math.sqrt(off.lasting), off.tails, share * waves.options.gray_tolerance
@@ -449,26 +375,33 @@ def _lasting(off: WaveError) -> float:
     return math.hypot(math.sqrt(off.lasting), off.tails)
 
 
-def _square_left(tolerance: float, waves: _Waves, off: WaveError) -> float:
+def _square_left(tolerance: float, waves: Waves, off: WaveError) -> float:
     """Mean square that what no rays make smaller leaves to the image, and to rays and cells of its waves [gray^2]."""
     return max(tolerance - waves.by_bands, 0.0) ** 2 - off.tails**2 - off.lasting
 
 
 def _error(
-    plan: WavePlan, parts: WaveParts, made: Array, work: Work, own: tuple[Array, Array] | None = None
+    plan: WavePlan,
+    parts: WaveParts,
+    made: Array,
+    work: Work,
+    own: tuple[Array, Array] | None = None,
+    *,
+    images: NDArray[np.float32] | None = None,
 ) -> WaveError:
-    view = work.view
-    return wave_error(parts, made, visible_gray(view.exposure_of_radiance, view.camera.sensor), plan.block, own)
+    gray = visible_gray(work.view.exposure_of_radiance, work.view.camera.sensor)
+    return wave_error(parts, made, gray, plan.block, own, images=images)
 
 
-def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: _Waves, rays: int) -> tuple[Made, WaveError]:
+def _added(made: Made, plan: WavePlan, parts: WaveParts, waves: Waves, rays: int) -> tuple[Made, WaveError]:
     """The image with what waves add and the certificate of both, and how far it may be off by them."""
     radiance = np.maximum(made.radiance + parts.change.mean(axis=0), 0.0)
     outcome, options, own = made.outcome, waves.options, None
     # Images that are compared, and a basis in other light, have what their cells change by itself.
     if outcome is not None and options.sampling is None and not options.basis:
         own = own_change(outcome, plan, [light.wavelength for light in waves.lights])
-    found = _error(plan, parts, radiance, waves.work, own)
+    images = outcome.replicates.images if outcome is not None and parts.by_own_rays else None
+    found = _error(plan, parts, radiance, waves.work, own, images=images)
     known, bands = (found.noise, found.cells, found.tails, found.quantile + waves.by_bands), waves.by_bands
     certificate = made.certificate.with_waves(*known, bands=bands, parts=outcome.parts if outcome else ())
     used = replace(made.used, rays=made.used.rays + rays)

@@ -62,6 +62,8 @@ class Causes:
         After a factor on the gray level above dark.
     exposure_factor : float or None
         That factor; the exposure's own is its power 1/gamma.
+    dark_gray : float
+        Above which: as it was given, or the prediction's smallest gray level.
     geometry : float or None
         After a shift; None where none was found.
     shift : tuple of float or None
@@ -76,6 +78,7 @@ class Causes:
     dark_level: float
     exposure: float
     exposure_factor: float | None
+    dark_gray: float
     geometry: float | None
     shift: tuple[float, float] | None
     all_together: float
@@ -252,6 +255,7 @@ def _causes(captured: Array, predicted: Array, usable: Flags, dark: float, progr
         dark_level=dark_level,
         exposure=exposure,
         exposure_factor=factor,
+        dark_gray=dark,
         geometry=geometry,
         shift=shift,
         all_together=together,

@@ -86,11 +86,14 @@ class WavelengthGroup:
         Their names.
     spread : float
         As `Spectral.wavelength_spread`, where it stands for their light.
+    deviation : float
+        Standard deviation of the wavelengths of a source's light over their mean; of several sources rms.
     """
 
     wavelength: float
     sources: frozenset[str]
     spread: float
+    deviation: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,14 +146,19 @@ class Spectral:
                 parted.append([])
             parted[-1].append(row)
         if len(parted) <= 1:
-            return (WavelengthGroup(self.wavelength, frozenset(self.sources), self.wavelength_spread),)
+            deviation = _deviation(parted[0]) if parted else 0.0
+            return (WavelengthGroup(self.wavelength, frozenset(self.sources), self.wavelength_spread, deviation),)
         return tuple(map(_group, parted))
 
 
 def _group(rows: Sequence[tuple[float, float, str]]) -> WavelengthGroup:
     middle = (rows[0][0] + rows[-1][0]) / 2
     spread = max(abs(wavelength - middle) / middle + spread for wavelength, spread, _ in rows)
-    return WavelengthGroup(middle, frozenset(name for _, _, name in rows), spread)
+    return WavelengthGroup(middle, frozenset(name for _, _, name in rows), spread, _deviation(rows))
+
+
+def _deviation(rows: Sequence[tuple[float, float, str]]) -> float:
+    return math.sqrt(2 * math.fsum(spread for _, spread, _ in rows) / len(rows))
 
 
 def integral(*curves: Curve) -> float:

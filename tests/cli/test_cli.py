@@ -348,6 +348,7 @@ def _paths(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
+@pytest.mark.long
 def test_explain_advises(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     advice = {}
     for exposure in ("10 ms", "900 ms", "10 s"):

@@ -25,6 +25,7 @@ def test_every_section_has_cases_and_every_case_one_name() -> None:
         assert all(case.split(".")[0] == check.name.split(".")[0] for case in check.cases)
 
 
+@pytest.mark.long
 def test_lamps_pass_and_the_report_is_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "a card"
     done = here(["validate", "--only", "1", "--only", "2.point_source", "--json", "--out", out], capsys).success()

@@ -217,6 +217,7 @@ def test_two_objectives_have_a_front(design_file: Write, tmp_path: Path) -> None
     assert told["best"]["values"]["camera.exposure_time"] in ("100 ms", "150 ms")
 
 
+@pytest.mark.long
 def test_a_search_between_bounds_finds_the_limit(design_file: Write, tmp_path: Path) -> None:
     """The mean grows with the time: of the times that were looked at the longest one within the limit is best."""
     out, choices = (
@@ -387,6 +388,7 @@ def test_a_design_finds_levels_and_time(tmp_path: Path) -> None:
     assert 150 < told["check"]["quantities"]["peak_gray"]["value"] <= 200
 
 
+@pytest.mark.long
 def test_what_is_no_convex_program_is_searched_locally(lit: tuple[Any, Any, Path]) -> None:
     """The mean is linear, so that its largest value is known by a linear program."""
     from scipy.optimize import linprog

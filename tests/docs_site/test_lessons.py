@@ -42,7 +42,7 @@ untouched = true
 
 
 # These run in some seconds together; the others take half a minute of a quiet machine, and run with `make docs` too.
-QUICK = ("calibrate", "drive_the_ring", "how_exact")
+QUICK = ("calibrate", "drive_the_ring")
 
 
 @pytest.mark.parametrize(

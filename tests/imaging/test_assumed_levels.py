@@ -39,6 +39,7 @@ def mean_with(document: dict[str, Any], number: int, factor: float, out: Path) -
     return float(gray_levels(made.radiant_exposure.values, made.scene.camera.sensor).mean())
 
 
+@pytest.mark.long
 def test_each_level_of_several_moves_a_render_by_its_own_light(tmp_path: Path) -> None:
     """Against renders with that level at the ends of its range; their rays are others than the shares'."""
     effects = effects_in(run := rendered(SCENE, tmp_path / "run"))

@@ -42,7 +42,7 @@ def rendered(folder: Path, tolerance: float = 0.5, **changes: Any) -> Rendered:
     return radwrap.render(scene, tolerance=tolerance, workers=1)
 
 
-@pytest.mark.parametrize(("gamma", "unit"), [(0.85, "-0.85"), (1.0, "-1")])
+@pytest.mark.parametrize(("gamma", "unit"), [pytest.param(0.85, "-0.85", marks=pytest.mark.long), (1.0, "-1")])
 def test_another_exposure_is_a_fresh_render_within_both_certificates(tmp_path: Path, gamma: float, unit: str) -> None:
     sensor = {"camera.sensor.gamma": gamma, "camera.sensor.gain": f"3.38e4 (J/m^2)^{unit}"}
     first = rendered(tmp_path, **sensor)
@@ -64,6 +64,7 @@ def test_another_exposure_is_a_fresh_render_within_both_certificates(tmp_path: P
     assert made.with_exposure(0.6).gray.values == pytest.approx(first.gray.values, abs=1)
 
 
+@pytest.mark.long
 def test_pixels_that_were_saturated_have_no_bound_below_saturation(tmp_path: Path) -> None:
     bright = rendered(tmp_path, **{"camera.exposure_time": "3000 ms"})
     assert 0 < bright.run.saturated_fraction < 1

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import json
+import shutil
 import threading
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,11 @@ from radwrap import files
 from radwrap.imaging import tracer_choice, tracing
 from radwrap.imaging import warm as warm_module
 from radwrap.imaging.demand import SamplingPlan
+from radwrap.imaging.output.run_manifest import read_run_manifest
+from radwrap.imaging.relight.relit import read_basis
 from radwrap.imaging.tracing import LaidOutScene
 from radwrap.kept import Kept, of_kept
+from radwrap.manifest import plain
 from radwrap.process import Programs
 from radwrap.tracers.agreement import Agreement
 from radwrap.tracers.compiled import tracer as compiled_tracer
@@ -131,6 +136,36 @@ def test_files_are_the_same_too(live: radwrap.WarmScene, tmp_path: Path) -> None
     for name in names:
         if name.suffix != ".json":
             assert (tmp_path / "warm" / name).read_bytes() == (tmp_path / "cold" / name).read_bytes()
+
+
+@pytest.fixture(scope="module")
+def brief(live: radwrap.WarmScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a basis that was left for another process."""
+    folder = tmp_path_factory.mktemp("brief")
+    how: dict[str, Any] = {"tolerance": 4.0, "basis": True, "cancelled": lambda: False, "progress": lambda _: None}
+    live.leave(board(), folder, brief=True, **how)
+    return folder
+
+
+def test_a_basis_in_one_file_is_the_one_in_pictures(live: radwrap.WarmScene, brief: Path, tmp_path: Path) -> None:
+    whole = live.render(board(), tmp_path, tolerance=4.0, basis=True)
+    one, many = read_basis(brief), read_basis(tmp_path)
+    assert len(list((tmp_path / "basis").iterdir())) > 24 and len(list((brief / "basis").iterdir())) == 1
+    assert one.waves is not None and one.sample is not None and one.grid.any()  # each kind of part is there
+    for name in ("images", "grid", "lacks", "waves"):
+        assert np.array_equal(getattr(one, name), getattr(many, name)), name
+    run, alone = whole.run, replace(read_run_manifest(brief), timing=whole.run.timing)
+    assert plain(replace(run, files={})) == plain(replace(alone, files={}))  # without pictures, of which all is told
+
+
+@pytest.mark.parametrize("name", ["basis/parts.f32", "basis.json"])
+def test_a_basis_in_one_file_that_was_changed_is_refused(name: str, brief: Path, tmp_path: Path) -> None:
+    shutil.copytree(brief, tmp_path, dirs_exist_ok=True)
+    content = bytearray((tmp_path / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(radwrap.InputError, match=r"not the file|not as it was made|not JSON"):
+        read_basis(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,9 @@ from radwrap.imaging.tracing import traced_scene
 from radwrap.scene.camera import Aperture, ApertureShape, Camera, Lens
 from radwrap.tracers.tracer import Tracer
 from tests.imaging.planes import Array, Planes, camera
+from tests.imaging.wave_edge import COLUMNS, PIXEL, WAVELENGTH
+from tests.imaging.wave_edge import expected as step_and_waves
 
-WAVELENGTH = 550e-9
-PIXEL, COLUMNS = 1e-5, 96
 # Cells of a quarter of the wave's length and a ray in each: measured on edges in and out of focus, 1 to 3 %.
 COARSE = 0.05
 # Of pixels in strata, whose edge pixels are some hundred: of one draw, and of the mean square of four.
@@ -57,17 +57,9 @@ def seen(aperture: Aperture, focus: float | None, rows: int = 64) -> View:
 
 def expected(of: Camera) -> float:
     """Rms over the columns of what waves change of the step behind a square opening [gray level]."""
-    side, v, m = of.aperture.diameter, of.image_distance, float(of.magnification(1.0))
-    top = 60 / PIXEL
-    nodes, shares = np.polynomial.legendre.leggauss(40)
-    f = (np.arange(400)[:, np.newaxis] + (nodes + 1) / 2).ravel() * top / 400
-    weights = np.tile(shares / 2 * top / 400, 400)
-    width = np.maximum(side - WAVELENGTH * v * f, 0.0)
-    change = (width / side * np.sinc(m * f * width) - np.sinc(m * f * side)) * np.sinc(f * PIXEL)
-    x = (np.arange(COLUMNS) - (COLUMNS - 1) / 2) * PIXEL
-    step = np.sin(2 * np.pi * np.outer(x, f)) / (np.pi * f) @ (change * weights)
-    exposure = of.exposure_time * of.aperture.area / v**2
-    return 0.8 * of.sensor.gain * exposure * math.sqrt(float((step**2).mean()))
+    _, change = step_and_waves(of, 0.0)
+    exposure = of.exposure_time * of.aperture.area / of.image_distance**2
+    return of.sensor.gain * exposure * math.sqrt(float((change**2).mean()))
 
 
 @pytest.mark.parametrize(

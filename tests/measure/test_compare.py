@@ -131,6 +131,8 @@ def test_noise_is_no_matter_of_place(striped: bool) -> None:
 def test_the_factor_of_the_exposure_comes_back() -> None:
     causes = compare(photograph(factor=0.8), PREDICTED, dark=DARK).causes
     assert causes.exposure_factor == pytest.approx(0.8, abs=1e-3)
+    assert causes.dark_gray == DARK
+    assert compare(photograph(factor=0.8), PREDICTED).causes.dark_gray == PREDICTED.values.min()
     assert causes.exposure == pytest.approx(1.0, abs=0.1)  # the noise of 1 gray, and rounding
 
 

@@ -136,7 +136,7 @@ def test_uniform_field_through_other_openings(place: tuple[int, int], bench: Any
         assert halves[0] < halves[1]
 
 
-@pytest.mark.parametrize(("diameter", "numbers"), [(1e-4, (61,)), (1e-3, (19, 61))])
+@pytest.mark.parametrize(("diameter", "numbers"), [(1e-4, (61,)), pytest.param(1e-3, (19, 61), marks=pytest.mark.long)])
 def test_uniform_field_of_the_real_tracer(bench: Any, diameter: float, numbers: tuple[int, ...]) -> None:
     """A wide shining disc fills the view; the whole of `render` answers."""
     pitch = CORNER / math.sqrt(2)

@@ -92,6 +92,7 @@ def test_what_is_hidden_has_none(cell: Path) -> None:
         seen_box(scene.camera, scene.targets, "washer")
 
 
+@pytest.mark.long
 def test_regions_go_by_the_scenes_truth(cell: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     here(

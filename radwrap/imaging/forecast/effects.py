@@ -215,7 +215,15 @@ def effects(scene: Scene, options: RenderOptions | None = None) -> dict[str, Any
     return {"tolerance": tolerance, **told, **exposure, "tracer": tracer, "effects": each, "planner": planner}
 
 
-def diffraction_left_out(scene: Scene, view: View, seed: int, tolerance: float, most_rays: int = MOST_RAYS) -> Effect:
+def diffraction_left_out(
+    scene: Scene,
+    view: View,
+    seed: int,
+    tolerance: float,
+    most_rays: int = MOST_RAYS,
+    *,
+    image: NDArray[np.float64] | None = None,
+) -> Effect:
     """What diffraction at the opening would change of an image that is made by rays, which know no waves.
 
     Parameters
@@ -226,10 +234,10 @@ def diffraction_left_out(scene: Scene, view: View, seed: int, tolerance: float, 
         Whose rays; of the same light as the image.
     seed, tolerance
         As of `bounces`.
-    most_rays : int
+    most_rays, image
         As of `wave_change`.
     """
-    square, rays = wave_change(view, wavelength_of(scene)[0], seed, most_rays)
+    square, rays = wave_change(view, wavelength_of(scene)[0], seed, most_rays, image=image)
     left_out = "light is rays, and the opening sends no waves"
     if _has_glass(scene):
         left_out += ", so that the lens has no aberrations either"

@@ -3,14 +3,13 @@
 The central image is traced coarsely, with a ray in each cell, twice: what both
 find alike is no noise. Cells are as small as what differs, half of the wave's
 length lambda N or of the blur. Far around a place, where only the wave's tails
-come from, a ray stands for a block of cells. Of a large image some pixels are
-looked at, drawn in strata by how much the light around them differs; each gets
-rays that are drawn from the difference of the footprints.
+come from, a ray stands for a block of cells. Some pixels are looked at for
+themselves, and of a large image only these: drawn by how much the light around
+them differs, each with rays that are drawn from the difference of the footprints.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Final
@@ -18,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.methods.around import least_around, most_around
 from radwrap.imaging.methods.kernel import layer_shares
 from radwrap.imaging.optics.footprint import reach_px
 from radwrap.imaging.optics.lens_field import LensField, Place, glass_at, glass_reach, lens_field
@@ -26,7 +26,6 @@ from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, mean_squares, resampling
-from radwrap.imaging.tolerance.certificate import lacks_in_gray
 from radwrap.imaging.tolerance.wave_behind import Layout, as_seen
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
@@ -52,16 +51,18 @@ _MOST_CELLS: Final = 1 << 22  # around a pixel, of all layers: transforms of 64 
 # Rays of a look at depths (a side of the grid), and of an image that is looked at as a whole.
 _LOOK: Final = 32
 MOST_RAYS: Final = 1 << 16
-# Of a larger one: half of the rays, so many around each pixel from which those that are looked at are drawn, tell how
-# the light around them differs; the other half goes to those that are drawn, so many to each in each of two sets. Few,
-# as pixels differ by more than a pixel's rays: of a chart with an edge beside a column of pixels half a percent of them
-# hold two thirds of the mean square.
-_LOOKS: Final = 4
+# Rays of single pixels beside it: a line that is thinner than its cells may be met by few of its rays.
+_OF_PIXELS: Final = 0.5  # of the rays that an image may take
+# Rays around each pixel, in each of two sets. Few, as pixels differ by more than a pixel's rays: of a chart with an
+# edge beside a column of pixels half a percent of them hold two thirds of the mean square.
 _RAYS: Final = 8
-_STRATA: Final = 4
-# Light that looks even may have an edge that no look fell upon: it counts as if it differed by this share of the mean.
-_UNSEEN: Final = 0.1
-_FEWEST: Final = 8
+# Where no image is known, so many around each pixel from which those that are looked at are drawn tell how the light
+# around them differs. A pixel where these miss what waves change counts for much if it is drawn: with four of them 8 %
+# of the bounds about thin lines were broken, with eight 2 %.
+_LOOKS: Final = 8
+# Light that looks even may have an edge that shows nowhere: it counts as if it differed by this share of the mean. So
+# half of the pixels are drawn anywhere, and none counts for more than two.
+_UNSEEN: Final = 1.0
 _ONE_SIDED: Final = 1.959963985
 
 
@@ -82,6 +83,13 @@ class _Grid:
     def block(self) -> float:
         """Side of a block [px]."""
         return _BLOCK * self.cell
+
+    @property
+    def reach(self) -> int:
+        """How far light changes a pixel by most of what waves do, and rays [px]."""
+        sensor, most = self.camera.sensor, max(map(abs, self.layers))
+        length = self.waves.blur / min(sensor.pixel_width, sensor.pixel_height)
+        return max(2, math.ceil(length + max(reach_px(self.camera, most))))
 
     @property
     def cut(self) -> float:
@@ -119,7 +127,13 @@ class _Grid:
 
 
 def wave_change(
-    view: View, wavelength: float, seed: int, most_rays: int = MOST_RAYS, *, of_glass: bool = False
+    view: View,
+    wavelength: float,
+    seed: int,
+    most_rays: int = MOST_RAYS,
+    *,
+    of_glass: bool = False,
+    image: Array | None = None,
 ) -> tuple[Bounded, int]:
     """Mean square of what diffraction would change of the gray levels, and how many rays it took to find out.
 
@@ -132,9 +146,11 @@ def wave_change(
     seed : int
         Of all that is drawn.
     most_rays : int
-        About how many rays it may take; where they are few the bound is wide.
+        About how many rays it may take, and half as many for single pixels; where they are few the bound is wide.
     of_glass : bool
         Whether only that counts which waves behind a perfect lens do not change.
+    image : ndarray, shape (rows, columns), optional
+        The image without waves, where it is made: it shows around which pixels the light differs [W m^-2 sr^-1].
 
     Returns
     -------
@@ -152,14 +168,30 @@ def wave_change(
         grid = replace(grid, less=grid.waves)
     sensor = camera.sensor
     whole = (0, sensor.rows, 0, sensor.columns)
-    for times in _COARSER:
-        cells = replace(grid, cell=times * grid.cell)
-        if 2 * cells.rays(whole) <= most_rays:
-            square, cut, rays = _of_whole(view, cells, random)
-            break
-    else:
-        square, cut, rays = _of_some(view, grid, seed, random, most_rays)
-    return Bounded(square.mean, (math.sqrt(square.upper) + math.sqrt(cut)) ** 2), looked + rays
+    cells = (replace(grid, cell=times * grid.cell) for times in _COARSER)
+    coarse = next((each for each in cells if 2 * each.rays(whole) <= most_rays), None)
+    for_pixels = round(_OF_PIXELS * most_rays)
+    if coarse is None:
+        for_looks = most_rays if image is None else 0
+        each = for_looks, for_pixels + most_rays - for_looks
+        square, rays = _of_some(view, grid, seed, random, rays=each, image=image)
+        return square, looked + rays
+    square, rays = _of_whole(view, coarse, random)
+    for_looks = for_pixels // 2 if image is None else 0
+    each = for_looks, for_pixels - for_looks
+    by_pixels, more = _of_some(view, grid, seed, random, rays=each, image=image)
+    return _of_both(square, by_pixels), looked + rays + more
+
+
+def _of_both(whole: Bounded, by_pixels: Bounded) -> Bounded:
+    """What two looks find together.
+
+    That of the whole image meets a thin line by few rays, all pixels by the same: where pixels for themselves, each by
+    rays of its own, find more than its bound, it stepped over something; what noise takes below zero tells nothing.
+    Pixels for themselves know less of what hides.
+    """
+    estimate = whole.mean if whole.mean > 0 and by_pixels.mean <= whole.upper else by_pixels.mean
+    return Bounded(estimate, max(whole.upper, by_pixels.upper))
 
 
 def _grid_of(view: View, waves: Waves, random: np.random.Generator) -> tuple[_Grid, int]:
@@ -187,54 +219,91 @@ def _grid_of(view: View, waves: Waves, random: np.random.Generator) -> tuple[_Gr
 
 
 def _of_some(
-    view: View, grid: _Grid, seed: int, random: np.random.Generator, most_rays: int
-) -> tuple[Bounded, float, int]:
-    """Mean square over a large image by pixels in strata, what the cut tails may do, and the rays that it took."""
-    sensor = view.camera.sensor
-    side = _BLOCK * math.ceil((2 * grid.far / grid.cell + 1) / _BLOCK)
-    kernels = np.stack(
-        [
-            [np.fft.irfft2(waves, (side, side)).ravel() for _, waves in each]
-            for each in grid.weights((side, side)).values()
-        ]
-    )
-    density = np.abs(kernels.reshape(-1, side**2)).mean(axis=0)
-    if not density.any():
-        return NOTHING, 0.0, 0
-    drawn = random.choice(sensor.pixels, min(sensor.pixels, most_rays // (2 * _LOOKS)), replace=False)
-    places = _Drawn(grid, side, kernels, density / density.sum())
-    looks, _, _ = places.seen(view, drawn, 1, _LOOKS, random)
-    gray = gray_levels(looks * view.exposure_of_radiance, sensor)
-    differing = np.ptp(gray, axis=1)
-    order = np.argsort(-differing, kind="stable")
-    chosen, stratum, shares = list[int](), list[int](), list[float]()
-    for some in _strata(differing[order]):
-        number = min(max(_FEWEST, most_rays // (4 * _RAYS * _STRATA)), some.stop - some.start)
-        chosen += random.choice(order[some], number, replace=False).tolist()
-        stratum += [len(shares)] * number
-        shares.append((some.stop - some.start) / len(order))
-    seen = looks[chosen].mean(axis=1)
-    light, weights, rays = places.seen(view, drawn[chosen], 2, _RAYS, random)
+    view: View,
+    grid: _Grid,
+    seed: int,
+    random: np.random.Generator,
+    *,
+    rays: tuple[int, int],
+    image: Array | None,
+) -> tuple[Bounded, int]:
+    """Mean square over an image by some of its pixels, and how many rays it took.
+
+    Of so many rays the first tell around which of some pixels light differs, and the others what waves change there.
+    """
+    sensor, scale = view.camera.sensor, view.exposure_of_radiance
+    if (places := _Drawn.of(grid)) is None:
+        return NOTHING, 0
+    if image is None:
+        pool = random.choice(sensor.pixels, min(sensor.pixels, rays[0] // _LOOKS), replace=False)
+        looks, _, looked = places.seen(view, pool, 1, _LOOKS, random)
+        each = looks.mean(axis=1)
+        differing = np.ptp(gray_levels(looks * scale, sensor), axis=1)
+    else:
+        pool, looked, each = None, 0, image.ravel()
+        differing = differences_around(gray_levels(image * scale, sensor), grid.reach).ravel()
+    chosen, weights = _by_size(differing, max(rays[1] // (2 * _RAYS), 2), random)
+    seen = each[chosen]
+    light, change_of, traced = places.seen(view, chosen if pool is None else pool[chosen], 2, _RAYS, random)
     # Weights of even light sum to nothing: what all rays of a pixel see alike adds no noise.
-    change = ((light - seen[:, np.newaxis]) * weights).reshape(len(seen), 2, _RAYS).mean(axis=2).T
-    tails = grid.cut * (looks.mean() - seen)
-    scale = view.exposure_of_radiance
-    errors = lacks_in_gray(seen, change, rays, scale, sensor)
-    strata, of_strata = np.array(stratum, dtype=np.intp), np.array(shares)
-    again = resampling(strata, of_strata, (seed, Rendering.WAVE_RESAMPLES))
-    (square,) = mean_squares(errors.first[np.newaxis], errors.second[np.newaxis], again)
-    tail = lacks_in_gray(seen, np.stack([tails, tails]), 0, scale, sensor).first
-    of_each = of_strata / np.bincount(strata)
-    return square, float((tail**2 * of_each[strata]).sum()), looks.size + rays
+    change = ((light - seen[:, np.newaxis]) * change_of).reshape(len(seen), 2, _RAYS).mean(axis=2).T
+    first, second = np.sqrt(weights) * _in_gray(seen, change, view)
+    again = resampling(np.zeros(len(seen), dtype=np.intp), np.ones(1), (seed, Rendering.WAVE_RESAMPLES))
+    (square,) = mean_squares(first[np.newaxis], second[np.newaxis], again)
+    if pool is not None and len(pool) < sensor.pixels:
+        square = _of_drawn(square, first * second / np.sqrt(weights), len(pool))
+    tail = math.sqrt(float((weights * _in_gray(seen, grid.cut * (float(each.mean()) - seen), view) ** 2).mean()))
+    return _with_tails(square, tail), looked + traced
 
 
-def _strata(differing: Array) -> list[slice]:
-    """Strata of falling differences with about the same sum each: so many of each find a sum of them best (Neyman)."""
-    sums = np.cumsum(differing + max(_UNSEEN * float(differing.mean()), np.finfo(np.float64).tiny))
-    parts = np.arange(1, _STRATA)
-    ends = np.maximum(np.searchsorted(sums, parts * (sums[-1] / _STRATA), side="right"), parts * _FEWEST)
-    bounds = np.unique([0, *np.minimum(ends, len(differing)), len(differing)]).tolist()
-    return [slice(*pair) for pair in itertools.pairwise(bounds)]
+def _of_drawn(square: Bounded, each: Array, number: int) -> Bounded:
+    """A mean square over so many pixels, which are a draw themselves: by each pixel's, as they are drawn by weights."""
+    spread = max(float((each**2).mean()) - square.mean**2, 0.0)
+    known = max(square.mean, 0.0)
+    width = math.hypot(square.upper - known, _ONE_SIDED * math.sqrt(spread / number))
+    return Bounded(square.mean, known + width)
+
+
+def _by_size(sizes: Array, number: int, random: np.random.Generator) -> tuple[NDArray[np.intp], Array]:
+    """So many places drawn by sizes, and how much each counts in a mean over all places."""
+    sizes = sizes + max(_UNSEEN * float(sizes.mean()), np.finfo(np.float64).tiny)
+    bounds = np.cumsum(sizes)
+    drawn = (np.arange(number) + random.random(number)) / number
+    chosen = np.minimum(np.searchsorted(bounds, drawn * bounds[-1], side="right"), len(bounds) - 1)
+    return chosen, float(bounds[-1]) / len(sizes) / sizes[chosen]
+
+
+def differences_around(gray: Array, reach: int) -> Array:
+    """Largest less smallest gray level around each pixel, a reach [px] to twice that far, shape (rows, columns)."""
+    down, across = (np.arange(0, size, reach) for size in gray.shape)
+    high, low = (
+        around(each.reduceat(each.reduceat(gray, down, axis=0), across, axis=1), 3)
+        for each, around in ((np.maximum, most_around), (np.minimum, least_around))
+    )
+    found = high - low
+    rows, columns = (np.arange(size) // reach for size in gray.shape)
+    return found.take(rows, axis=0).take(columns, axis=1)
+
+
+def _in_gray(seen: Array, change: Array, view: View) -> Array:
+    """Change of gray levels by a change of radiance whose noise may take it below none, or above saturation.
+
+    What a change so large as to meet either limit would do is read off the other way: to cut noise on one side
+    only would take from the mean.
+    """
+    sensor, scale = view.camera.sensor, view.exposure_of_radiance
+    size = np.abs(change)
+    here, up, down = (gray_levels(np.maximum(each, 0.0) * scale, sensor) for each in (seen, seen + size, seen - size))
+    is_below, is_above = size > seen, (up >= sensor.saturation_gray) & (here < sensor.saturation_gray)
+    rise = np.where(is_above, here - down, up - here)
+    fall = np.where(is_below, up - here, here - down)
+    found: Array = np.where(change > 0, rise, -fall)
+    return found
+
+
+def _with_tails(square: Bounded, tail: float) -> Bounded:
+    """A mean square whose bound holds the rms of what the cut tails may do."""
+    return Bounded(square.mean, (math.sqrt(square.upper) + tail) ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,6 +325,19 @@ class _Drawn:
     side: int
     kernels: Array
     density: Array
+
+    @classmethod
+    def of(cls, grid: _Grid) -> _Drawn | None:
+        """Of all cells that waves reach; None where waves change nothing."""
+        side = _BLOCK * math.ceil((2 * grid.far / grid.cell + 1) / _BLOCK)
+        kernels = np.stack(
+            [
+                [np.fft.irfft2(waves, (side, side)).ravel() for _, waves in each]
+                for each in grid.weights((side, side)).values()
+            ]
+        )
+        density = np.abs(kernels.reshape(-1, side**2)).mean(axis=0)
+        return cls(grid, side, kernels, density / density.sum()) if density.any() else None
 
     def seen(
         self, view: View, pixels: NDArray[np.intp], sets: int, number: int, random: np.random.Generator
@@ -284,8 +366,8 @@ class _Drawn:
         return light.reshape(cell.shape), (change / self.density[each]).reshape(cell.shape), light.size
 
 
-def _of_whole(view: View, grid: _Grid, random: np.random.Generator) -> tuple[Bounded, float, int]:
-    """Mean square over a whole image, what the cut tails may do, and the rays that it took."""
+def _of_whole(view: View, grid: _Grid, random: np.random.Generator) -> tuple[Bounded, int]:
+    """Mean square over a whole image, and the rays that it took."""
     sensor = view.camera.sensor
     rect = (0, sensor.rows, 0, sensor.columns)
     shape = grid.shape(rect)
@@ -298,11 +380,10 @@ def _of_whole(view: View, grid: _Grid, random: np.random.Generator) -> tuple[Bou
         laid = [_laid(places[2], shape, each) for each in (light, depth)]
         found.append((*_gathered(grid, rect, weights, laid[0], laid[1]), float(laid[0].mean())))
     seen = np.maximum((found[0][0] + found[1][0]) / 2, 0.0)
-    scale = view.exposure_of_radiance
     tails = grid.cut * ((found[0][2] + found[1][2]) / 2 - seen)
-    errors = lacks_in_gray(seen, np.stack([change for _, change, _ in found]), len(u), scale, sensor)
-    tail = lacks_in_gray(seen, np.stack([tails, tails]), 0, scale, sensor).first
-    return _known(errors.first, errors.second, grid), float((tail**2).mean()), len(u)
+    first, second = _in_gray(seen, np.stack([change for _, change, _ in found]), view)
+    tail = math.sqrt(float((_in_gray(seen, tails, view) ** 2).mean()))
+    return _with_tails(_known(first, second, grid), tail), len(u)
 
 
 def _known(first: Array, second: Array, grid: _Grid) -> Bounded:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from radwrap.errors import InputError
 from radwrap.imaging.methods.central import Cells, CentralImage, central_image, decide_cells
 from radwrap.imaging.methods.grid import GridPlan
+from radwrap.imaging.methods.transforms import correlated, fast_length, spectrum_of
 from radwrap.imaging.optics.footprint import footprint, laid_out, reach_px
 from radwrap.imaging.optics.smooth import SmoothField
 from radwrap.imaging.optics.view import View
@@ -254,17 +255,20 @@ def decide_tile(
 
     With smooth blocks no cell is cut within them, though they are traced as the others.
     """
-    place, cell = plan.tiles[tile], plan.grid.cell
-    reach = plan.reach_px
-    if plan.grid.smooth and is_smooth(view.smooth, plan, place):
+    if plan.grid.smooth and is_smooth(view.smooth, plan, plan.tiles[tile]):
         return NO_CELLS
+    return decide_cells(view, plan.grid, region_of(plan, tile), seed=seed, progress=progress, smooth=smooth)
+
+
+def region_of(plan: KernelPlan, tile: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First row and column of the grid cells that a tile gathers from, and how many rows and columns they are."""
+    place, cell, reach = plan.tiles[tile], plan.grid.cell, plan.reach_px
     # One pair of cells more on each side, for the coarser image.
     spans = [
         (math.floor((begin - far) / cell) - 2, math.ceil((end + far) / cell) + 2)
         for begin, end, far in ((*place[:2], reach[1]), (*place[2:], reach[0]))
     ]
-    region = ((spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]))
-    return decide_cells(view, plan.grid, region, seed=seed, progress=progress, smooth=smooth)
+    return (spans[0][0], spans[1][0]), (spans[0][1] - spans[0][0], spans[1][1] - spans[1][0])
 
 
 def gathered_tile(
@@ -393,16 +397,13 @@ def _by_phase(
         return
     shape = tuple(fast_length(size) for size in central.values.shape[-2:])
     if central.magnification is None:
-        spectra = [np.fft.rfft2(central.values, shape)]
+        spectra = [spectrum_of(central.values, shape)]
     else:
         shares = layer_shares(plan.layers, central.magnification)
-        spectra = [np.fft.rfft2(central.values * share, shape) for share in shares]
+        spectra = [spectrum_of(central.values * share, shape) for share in shares]
     for phase in phases:
-        total = sum(
-            spectrum * np.conj(np.fft.rfft2(laid_out(footprint(plan.camera, layer, cell, phase), shape)))
-            for layer, spectrum in zip(plan.layers, spectra, strict=True)
-        )
-        field = np.fft.irfft2(total, shape)
+        prints = (laid_out(footprint(plan.camera, layer, cell, phase), shape) for layer in plan.layers)
+        field = correlated(spectra, [np.conj(spectrum_of(one, shape)) for one in prints], shape)
         pixels = lattice(cell, place, phase)
         row, column = (np.floor(at / cell).astype(int) - first for at, first in zip(pixels, central.first, strict=True))
         # The transform leaves rounding errors of 1e-16 of the largest value, of either sign.
@@ -474,15 +475,3 @@ def coarsened(central: CentralImage, like: CentralImage | None = None) -> Centra
         magnification = np.where(values > 0, light / np.where(values > 0, values, 1.0), halved(central.magnification))
     first = ((central.first[0] + row) // 2, (central.first[1] + column) // 2)
     return replace(central, first=first, values=values, magnification=magnification)
-
-
-def fast_length(size: int) -> int:
-    """Smallest number from `size` on that has no prime factor above 5: transforms of others are slow."""
-    while True:
-        rest = size
-        for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
-            return size
-        size += 1

@@ -37,7 +37,7 @@ def write_piece(
     """Write a piece, whole or not at all; packed where users may keep it."""
     own = {"plan": plan, "pixels": digest(pixels), "unit": "W m^-2 sr^-1", **metadata}
     attributes = {f"{_PREFIX}{key}": str(value) for key, value in own.items()}
-    write_exr(path, pixels, channel=_CHANNEL, metadata=attributes, packed=packed)
+    write_exr(path, pixels, channel=_CHANNEL, metadata=attributes, compression="zip:1" if packed else "none")
 
 
 def read_piece(path: Path, plan: str) -> tuple[NDArray[np.float32], dict[str, str]] | None:
@@ -69,6 +69,11 @@ class Pieces:
         self._folder = folder
         self._memory: dict[tuple[str, str], tuple[NDArray[np.float32], dict[str, str]]] | None
         self._memory = {} if in_memory else None
+
+    @property
+    def in_memory(self) -> bool:
+        """Where they are."""
+        return self._memory is not None
 
     def write(self, name: str, pixels: NDArray[np.float32], plan: str, metadata: Mapping[str, object]) -> None:
         """As `write_piece`."""

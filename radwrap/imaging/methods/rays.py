@@ -231,13 +231,13 @@ def deviation_in_gray(
 
 def _numbers(plan: RaysPlan, pilot: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.intp]:
     """Rays of each pixel, so that the rms over the tile meets the aim; all pixels' errors are brought to one level."""
-    deviation = _pooled(gray_deviation(pilot, plan).reshape(shape)).ravel()
+    deviation = pooled(gray_deviation(pilot, plan).reshape(shape)).ravel()
     gain, order = (GAIN_OF_WALKS, ORDER_OF_WALKS) if plan.walks else (MEAN_GAIN, ORDER)
     level = level_of(gain * deviation * plan.fewest**-order, plan.aim)
     wanted = (gain * deviation / level) ** (1 / order)
     powers = 2 ** np.rint(np.log2(np.clip(wanted, plan.fewest, MOST)))
     numbers: NDArray[np.intp] = powers.astype(np.intp)
-    mean, scatter = pilot.mean(axis=1), _pooled(pilot.std(axis=1, ddof=1).reshape(shape)).ravel()
+    mean, scatter = pilot.mean(axis=1), pooled(pilot.std(axis=1, ddof=1).reshape(shape)).ravel()
     saturated = numbers_that_saturate(mean, scatter, plan.fewest, plan.exposure_of_radiance, plan.camera.sensor)
     enough: NDArray[np.intp] = np.maximum(np.maximum(numbers, spare_rays(numbers, plan.fewest)), saturated)
     return enough
@@ -281,12 +281,11 @@ def level_of(largest: NDArray[np.float64], aim: float) -> float:
     return float(np.sqrt(max((aim**2 * count - below[place]) / (count - place), 0.0)))
 
 
-def _pooled(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def pooled(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Root mean square of each value and its eight neighbours: few rays may miss what a pixel sees."""
     squares = values**2
     for axis in (0, 1):
         squares = np.moveaxis(squares, axis, 0)
         framed = np.concatenate([squares[:1], squares, squares[-1:]])
         squares = np.moveaxis((framed[:-2] + framed[2:] + squares) / 3, 0, axis)
-    pooled: NDArray[np.float64] = np.sqrt(squares)
-    return pooled
+    return np.asarray(np.sqrt(squares))

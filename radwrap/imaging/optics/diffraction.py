@@ -37,18 +37,25 @@ class Light:
         How far what waves add may be off by that, over what they add: see `WavelengthGroup`.
     names : frozenset of str, optional
         Names of the sources; None where it is the light of all.
+    deviation : float
+        Standard deviation of its wavelengths over their mean: see `WavelengthGroup`.
     """
 
     view: View
     wavelength: float
     spread: float = 0.0
     names: frozenset[str] | None = None
+    deviation: float = 0.0
 
 
 def light_of_all(scene: Scene, view: View) -> Light:
     """The light of all sources, as one."""
-    spread = 0.0 if scene.spectral is None else scene.spectral.wavelength_spread
-    return Light(view, wavelength_of(scene)[0], spread)
+    wavelength = wavelength_of(scene)[0]
+    if scene.spectral is None:
+        return Light(view, wavelength)
+    groups = scene.spectral.wavelength_groups()
+    deviation = groups[0].deviation if len(groups) == 1 else 0.0
+    return Light(view, wavelength, scene.spectral.wavelength_spread, deviation=deviation)
 
 
 def wavelength_of(scene: Scene) -> tuple[float, bool]:

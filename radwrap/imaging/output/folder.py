@@ -17,7 +17,8 @@ from radwrap.imaging.output.image_files import EXPOSURE, GRAY, PREVIEW, UNROUNDE
 from radwrap.imaging.output.run_manifest import MANIFEST, read_run_manifest
 from radwrap.imaging.output.sigma_file import SIGMA
 from radwrap.imaging.output.truth_files import DEPTH, PARTS, TRUTH
-from radwrap.imaging.relight.basis import BASIS, FOLDER
+from radwrap.imaging.relight.basis import BASIS
+from radwrap.imaging.relight.basis_files import FOLDER
 from radwrap.imaging.response.noise import frames_in
 from radwrap.imaging.run_files import BASES, TIMED_BASIS
 from radwrap.imaging.tolerance.kept_replicates import REPLICATES

@@ -52,9 +52,9 @@ class ImageSummary:
 
 
 def write_images(
-    folder: Path, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
+    folder: Path | None, radiance: NDArray[np.float64], camera: Camera, check: Callable[[], None] | None = None
 ) -> tuple[ImageSummary, list[str]]:
-    """Write both as `write_exposure`, of radiance; what is returned is its own.
+    """Write both as `write_exposure`, of radiance; what is returned is its own. Without a folder it is all.
 
     Parameters
     ----------
@@ -65,7 +65,12 @@ def write_images(
     camera : Camera
         Whose image.
     """
-    return write_exposure(folder, radiant_exposure(RadianceImage(radiance), camera).values, camera.sensor, check)
+    exact, sensor = radiant_exposure(RadianceImage(radiance), camera).values, camera.sensor
+    if folder is not None:
+        return write_exposure(folder, exact, sensor, check)
+    exposure = ExposureImage(exact.astype(np.float32).astype(np.float64))
+    levels = gray_levels(exposure.values, sensor)
+    return _summary(exposure, image_of_levels(levels, sensor, exposure.provenance), levels, sensor), []
 
 
 def write_exposure(
@@ -110,13 +115,16 @@ def write_exposure(
     if not sensor.rounding:
         write_exr(folder / UNROUNDED, gray.values.astype(np.float32), channel="gray")
         files.append(UNROUNDED)
-    summary = ImageSummary(
+    return _summary(exposure, gray, levels, sensor), files
+
+
+def _summary(exposure: ExposureImage, gray: GrayImage, levels: NDArray[np.float64], sensor: Sensor) -> ImageSummary:
+    return ImageSummary(
         radiant_exposure=Extent.of(exposure.values),
         gray=Extent.of(gray.values),
         saturated_fraction=float(np.mean(levels >= sensor.saturation_gray)),
         dark_fraction=float(np.mean(levels < sensor.dark_gray + 0.5)),
     )
-    return summary, files
 
 
 def _asked(check: Callable[[], None] | None) -> None:

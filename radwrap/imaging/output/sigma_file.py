@@ -16,10 +16,10 @@ from radwrap.scene.tolerances import Tolerances
 SIGMA: Final = "gray_sigma.exr"
 
 
-def write_sigma(folder: Path, run: TracedRun) -> tuple[UncertaintySummary | None, list[str]]:
-    """Write it where the scene states tolerances or noise; what it holds, and its name."""
+def write_sigma(folder: Path | None, run: TracedRun) -> tuple[UncertaintySummary | None, list[str]]:
+    """Write it where there is a folder, and the scene states tolerances or noise; what it holds, and its name."""
     camera, tolerances = run.scene.camera, run.scene.tolerances
-    if tolerances is None and camera.sensor.linear is None:
+    if folder is None or (tolerances is None and camera.sensor.linear is None):
         return None, []
     found = uncertainty(
         read_exposure(folder),

@@ -13,6 +13,7 @@ from radwrap.imaging.banding import Banding
 from radwrap.imaging.forecast.cost import Foretold
 from radwrap.imaging.forecast.effects import Effect, warnings_of_left_out
 from radwrap.imaging.mean_radiance import Made
+from radwrap.imaging.optics.view import View
 from radwrap.imaging.output.assumed_values import Assumptions, effects_by_shares, warnings_of_assumed
 from radwrap.imaging.output.identity import Identity
 from radwrap.imaging.output.image_files import ImageSummary
@@ -26,7 +27,7 @@ from radwrap.imaging.output.run_manifest import (
 )
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.lit_noise import ToleranceAsked
-from radwrap.imaging.tolerance.uncertainty import UncertaintySummary
+from radwrap.imaging.tolerance.uncertainty import UncertaintySummary, seen_magnifications
 from radwrap.imaging.tracer_choice import TracerUsed
 from radwrap.manifest import plain
 from radwrap.scene.look.checks import warnings_of
@@ -147,3 +148,11 @@ class TracedRun:
     def _left_out(self) -> dict[str, Effect]:
         light = self.beyond if self.orders else self.left_out
         return {left.name: left for left in (light, self.waves) if left is not None}
+
+
+def magnification_of(scene: Scene, view: View) -> NDArray[np.float64] | None:
+    """How much a wider opening blurs each pixel, where a lens has one that is not sure."""
+    tolerances = scene.tolerances
+    if scene.camera.lens is None or tolerances is None or not tolerances.aperture_diameter:
+        return None
+    return seen_magnifications(view)

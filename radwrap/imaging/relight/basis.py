@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import make_folder, sha256_of
-from radwrap.images import write_exr
+from radwrap.files import make_folder
 from radwrap.imaging.methods.by_source import gathered_sources
 from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.methods.hybrid import HybridPlan, corrected, corrections
 from radwrap.imaging.methods.kernel import Gathered, KernelPlan, gathered_tile, lattice
-from radwrap.imaging.methods.pieces import log_call, remove_strangers, run_jobs
+from radwrap.imaging.methods.pieces import Pieces, log_call, remove_strangers, run_jobs
 from radwrap.imaging.methods.rays import RaysPlan, traced_tile
 from radwrap.imaging.methods.smooth_blocks import with_known
 from radwrap.imaging.optics.diffraction import Light
 from radwrap.imaging.optics.view import LitView
+from radwrap.imaging.relight.basis_files import FOLDER, PartsToWrite
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.relight.basis_waves import BasisWaves
 from radwrap.imaging.tolerance.certificate import PixelSample, model_lacks, rays_of_lacks
@@ -44,15 +44,14 @@ from radwrap.scene.scene import Scene
 from radwrap.tracers.radiance import PreparedScene
 
 BASIS: Final = "basis.json"
-FOLDER: Final = "basis"
 WAVES: Final = "waves"  # a part: what the cells of waves may change, and below it what light from far away may
-MAGNIFICATION: Final = f"{FOLDER}/magnification.exr"  # no part of a source: their files have two dots
 SEAL: Final = "sha256"
 _WORK: Final = "basis"
 # Pixels that tell what the size of the kernel's cells changes; the sampling error of so many is in the bound.
 _GRID_PIXELS: Final = 4096
 # Pairs of each pixel of the model's certificate, at least: any levels must do with them.
 _LEAST_PAIRS: Final = 16
+_MOST_IN_MEMORY: Final = 1 << 25  # values of pieces that need no file: 128 MiB
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,6 +318,7 @@ def write_basis(
     magnification: NDArray[np.float64] | None = None,
     waves: WavePlan | None = None,
     lights: tuple[Light, ...] = (),
+    in_one: bool = False,
 ) -> list[str]:
     """Trace each source alone by the rays of an image to tolerance, and write its part of the basis.
 
@@ -340,6 +340,8 @@ def write_basis(
         By which rays the image got its diffraction, where it has it.
     lights : tuple of Light
         Likewise: which wavelength stands for which sources.
+    in_one : bool
+        See `PartsToWrite`.
 
     Returns
     -------
@@ -364,12 +366,13 @@ def write_basis(
     work.progress.expect(outcome.record.rays + rays)
     run_jobs(list(maker.jobs()), work.programs, work.view.workers)
     make_folder(out / FOLDER)
-    files = [name for view in range(len(views)) for name in _write_view(out, maker, view)]
+    parts = PartsToWrite(out, in_one=in_one)
+    for view in range(len(views)):
+        _write_view(parts, maker, view)
     if magnification is not None:
-        write_exr(out / MAGNIFICATION, magnification.astype(np.float32), channel="magnification")
-        files.append(MAGNIFICATION)
-    hashes = {name: sha256_of(out / name) for name in files}
-    write_manifest(out / BASIS, sealed({"tolerances": None, **_description(maker), **told, "files": hashes}))
+        parts.write_magnification(magnification.astype(np.float32))
+    files, told_of_files = parts.finish()
+    write_manifest(out / BASIS, sealed({"tolerances": None, **_description(maker), **told, **told_of_files}))
     return [*files, BASIS]
 
 
@@ -409,10 +412,10 @@ def _maker(
     name = sha256_of_value(
         {**what, "sample": None if sample is None else [sample.pixels.tolist(), sample.pairs.tolist()]}
     )
-    pieces = BasisPieces(work.folder / _WORK, name, views)
+    pieces = BasisPieces(work.folder / _WORK, name, views, _kept_in(work, outcome, views))
     of_waves = None
     if waves is not None:
-        plans = tuple(waves.at(light.wavelength) for light in lights)
+        plans = tuple(waves.at(light.wavelength, light.deviation) for light in lights)
         seen = views
         if waves.smooth is not None and waves.smooth is not work.view.smooth:  # the image was made anew since
             work = replace(work, view=replace(work.view, smooth=waves.smooth))
@@ -421,17 +424,23 @@ def _maker(
     return _Maker(work, outcome, sample, pieces, of_waves)
 
 
-def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
-    """Write the files of a view's sources; yields their names, source by source."""
+def _kept_in(work: Work, outcome: Outcome, views: Sequence[LitView]) -> Pieces:
+    """Where pieces are: with those of the image, if these are in memory and all of the basis are few."""
+    images = outcome.replicates.images
+    sources = sum(len(lit.names) for lit in views)
+    few = 3 * sources * images.size <= _MOST_IN_MEMORY  # each source's image, what waves add, and how far that is off
+    in_memory = few and work.pieces is not None and work.pieces.in_memory
+    return Pieces(work.folder / _WORK, in_memory=in_memory)
+
+
+def _write_view(parts: PartsToWrite, maker: _Maker, view: int) -> None:
+    """Write the parts of a view's sources."""
     names = maker.pieces.views[view].names
-    parts: list[str] = []
     grids = []
 
     def written(part: str, each: Iterable[NDArray[np.float32]]) -> None:
         for name, values in zip(names, each, strict=True):
-            path = out / file_name(name, part)
-            write_exr(path, values, channel="radiance_cos4", metadata={"radwrap:unit": "W m^-2 sr^-1"})
-        parts.append(part)
+            parts.write(name, part, values)
 
     # All sources of a large sensor take a gigabyte: of each there is one at a time, and sums are made in place.
     waves: NDArray[np.float32] | None = None
@@ -452,12 +461,6 @@ def _write_view(out: Path, maker: _Maker, view: int) -> Iterator[str]:
         waves /= np.float32(maker.replicates)
         beyond = maker.waves.beyond(view, waves[0])
         written(WAVES, (np.concatenate(each) for each in zip(waves[1], beyond, strict=True)))
-    yield from (file_name(name, part) for name in names for part in parts)
-
-
-def file_name(source: str, part: str) -> str:
-    """Name of a file of the basis; the part is the number of a replicate, "grid" or "model"."""
-    return f"{FOLDER}/{source}.{part}.exr"
 
 
 def _description(maker: _Maker) -> dict[str, Any]:

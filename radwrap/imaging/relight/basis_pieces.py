@@ -1,4 +1,4 @@
-"""Finished pieces of a light basis on the disk: a row or more for each source of a view."""
+"""Finished pieces of a light basis: a row or more for each source of a view."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import EnvironmentFailure
-from radwrap.imaging.methods.pieces import read_piece, write_piece
+from radwrap.imaging.methods.pieces import Pieces
 from radwrap.imaging.optics.view import LitView
 
 # Values side by side in a file: OpenImageIO reads no image wider than 2^20.
@@ -30,11 +30,14 @@ class BasisPieces:
         Hash of all that decides them.
     views : tuple of LitView
         Each piece is of one of them.
+    kept : Pieces
+        Holds them.
     """
 
     folder: Path
     name: str
     views: tuple[LitView, ...]
+    kept: Pieces
 
     def path(self, kind: str, view: int) -> Path:
         """File of a piece."""
@@ -42,7 +45,7 @@ class BasisPieces:
 
     def read(self, kind: str, view: int) -> NDArray[np.float32] | None:
         """What was made of a view, a row or more for each of its sources; None where that is missing."""
-        found = read_piece(self.path(kind, view), f"{self.name}-{kind}-{view}")
+        found = self.kept.read(self.path(kind, view).name, f"{self.name}-{kind}-{view}")
         if found is None:
             return None
         length = int(found[1]["length"])
@@ -71,7 +74,7 @@ class BasisPieces:
         for place in folded:
             place[:length] = small.pop()
         pixels = folded.reshape(-1, min(length, _WIDEST))
-        write_piece(self.path(kind, view), pixels, f"{self.name}-{kind}-{view}", {"length": length})
+        self.kept.write(self.path(kind, view).name, pixels, f"{self.name}-{kind}-{view}", {"length": length})
 
     def due(self, kind: str) -> list[int]:
         """Views of which such a piece is missing."""

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radwrap.errors import InputError
-from radwrap.files import sha256_of
-from radwrap.images import ExposureImage, GrayImage, read_image
+from radwrap.images import ExposureImage, GrayImage
 from radwrap.imaging.methods.kernel import grid_squares
-from radwrap.imaging.relight.basis import BASIS, MAGNIFICATION, WAVES, file_name, read_sealed
+from radwrap.imaging.relight.basis import BASIS, WAVES, read_sealed
+from radwrap.imaging.relight.basis_files import PartsToRead
 from radwrap.imaging.response.sensor import gray_levels, image_of_levels
 from radwrap.imaging.run_files import BasisFile, SampleFile
 from radwrap.imaging.tolerance.bounds import ALONE, NOTHING, Bounded, mean_squares, resampling
@@ -168,8 +168,7 @@ def read_basis(folder: Path) -> Basis:
 
 
 def _basis(folder: Path, told: BasisFile) -> Basis:
-    for name, known in told.files.items():
-        _check_file(folder / name, known)
+    parts = PartsToRead(folder, told)
     sensor, model = told.camera.sensor, told.model
     images = np.empty((len(told.sources), told.replicates, sensor.rows, sensor.columns), dtype=np.float32)
     grid = np.zeros((len(told.sources), told.replicates, len(told.grid_pixels)), dtype=np.float32)
@@ -179,13 +178,13 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
         waves = np.zeros((len(told.sources), 2, sensor.rows, sensor.columns), dtype=np.float32)
     for k, source in enumerate(told.sources):
         for replicate in range(told.replicates):
-            images[k, replicate] = _part(folder, told, source, str(replicate))
+            images[k, replicate] = parts.of(source, str(replicate))
         if grid.size:
-            grid[k] = _part(folder, told, source, "grid")
+            grid[k] = parts.of(source, "grid")
         if model:
-            lacks[k] = _part(folder, told, source, "model")
+            lacks[k] = parts.of(source, "model")
         if waves is not None:
-            waves[k] = _part(folder, told, source, WAVES).reshape(2, sensor.rows, sensor.columns)
+            waves[k] = parts.of(source, WAVES).reshape(2, sensor.rows, sensor.columns)
     return Basis(
         sources=told.sources,
         dark=told.dark,
@@ -202,29 +201,12 @@ def _basis(folder: Path, told: BasisFile) -> Basis:
         max_error=told.max_error,
         scene_sha256=told.scene_sha256,
         tolerances=told.tolerances,
-        magnification=read_image(folder / MAGNIFICATION)[0] if MAGNIFICATION in told.files else None,
+        magnification=parts.magnification,
         even=told.even,
         smooth_share=told.smooth_share,
         every_pixel=told.every_pixel,
         waves=waves,
     )
-
-
-def _check_file(path: Path, known: str) -> None:
-    try:
-        same = sha256_of(path) == known
-    except OSError as error:
-        raise InputError("cannot be read", where=str(path), remedy="make the basis again") from error
-    if not same:
-        raise InputError("is not the file that the basis was made with", where=str(path), remedy="make it again")
-
-
-def _part(folder: Path, told: BasisFile, source: str, part: str) -> NDArray[np.float32]:
-    name = file_name(source, part)
-    if name not in told.files:
-        raise KeyError(name)
-    pixels: NDArray[np.float32] = read_image(folder / name)[0]
-    return pixels
 
 
 def _sample(model: SampleFile) -> PixelSample:

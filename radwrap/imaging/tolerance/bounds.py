@@ -25,6 +25,7 @@ ALONE: Final = 1 << 18
 _ROUNDING: Final = 1e-12  # of sums of squares in float64
 # Wilson and Hilferty's cube is good to 1.5 per cent from here on; below, a series is.
 _FEWEST_DEGREES: Final = 8.0
+_FEWEST_OF_F: Final = 3  # degrees from which the quantile of F is no less than .99 of what it is
 _TERMS: Final = 24  # of it, and steps: what is left is 1e-11 below that many degrees
 
 
@@ -184,8 +185,10 @@ def mean_square_of_differences(differences: NDArray[np.float64], block: tuple[in
 
     Notes
     -----
-    The bound is that of a chi-square whose degrees of freedom are the number
-    of blocks that share the error evenly, (sum s)^2 / sum s^2.
+    Degrees of freedom are the number of blocks that share the error evenly,
+    (sum s)^2 / sum s^2. The image is one draw of so many, whose mean square is
+    bounded, and not what it would be in the mean: over what is known of that by
+    all realisations it is distributed as F; below three degrees of freedom the mean itself is bounded.
     """
     square = (differences**2).mean(axis=0)
     rows = np.arange(0, square.shape[0], max(1, block[0]))
@@ -194,8 +197,23 @@ def mean_square_of_differences(differences: NDArray[np.float64], block: tuple[in
     mean = float(square.mean())
     if mean == 0.0:
         return NOTHING
-    degrees = len(differences) * float(sums.sum() ** 2 / (sums**2).sum())
-    return Bounded(mean, mean * degrees / _lower_chi_square(degrees))
+    of_image = float(sums.sum() ** 2 / (sums**2).sum())
+    known = len(differences) * of_image
+    times = _upper_f(of_image, known) if known >= _FEWEST_OF_F else 0.0
+    if known < _FEWEST_DEGREES:
+        times = max(times, known / _lower_chi_square(known))
+    return Bounded(mean, mean * times)
+
+
+def _upper_f(of_image: float, known: float) -> float:
+    """97.5 % quantile of F, the ratio of mean squares of so many degrees of freedom (key paulson).
+
+    Their cube roots are about normal: of the quantile y^3, (1 - b) y - (1 - a) is the normal's over the root of
+    b y^2 + a.
+    """
+    a, b, z2 = 2 / (9 * of_image), 2 / (9 * known), _NORMAL_QUANTILE**2
+    square, middle = (1 - b) ** 2 - z2 * b, (1 - a) * (1 - b)
+    return ((middle + math.sqrt(middle**2 - square * ((1 - a) ** 2 - z2 * a))) / square) ** 3
 
 
 def _lower_chi_square(degrees: float) -> float:

@@ -103,7 +103,8 @@ class Certificate:
         Parameters
         ----------
         noise : Bounded
-            Mean square of what the number of their rays adds [gray level^2].
+            Mean square of what the number of their rays adds; below 0 where waves blur what noise the image has
+            [gray level^2].
         cells : float
             Mean square of what their cells add [gray level^2].
         tails : float
@@ -123,7 +124,7 @@ class Certificate:
         own: of independent ones the deviations add as squares too (key graybill_wang), as all of them are as far off
         at a time less often than each.
         """
-        known = self.rms_gray**2 + noise.mean + cells
+        known = max(self.rms_gray**2 + noise.mean, 0.0) + cells
         each = (*(parts or (Bounded(self.rms_gray**2, self.rms_gray_upper95**2),)), noise)
         deviation = math.hypot(*(max(part.upper, 0.0) - max(part.mean, 0.0) for part in each))
         return replace(
@@ -131,7 +132,7 @@ class Certificate:
             rms_gray=math.sqrt(known),
             rms_gray_upper95=math.sqrt(known + tails**2 + deviation) + bands,
             p99_gray_upper95=None if self.p99_gray_upper95 is None else self.p99_gray_upper95 + quantile,
-            diffraction_gray=math.sqrt(noise.upper + cells + tails**2) + bands,
+            diffraction_gray=math.sqrt(max(noise.upper, 0.0) + cells + tails**2) + bands,
         )
 
 

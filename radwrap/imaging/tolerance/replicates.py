@@ -29,6 +29,7 @@ from radwrap.imaging.optics.view import View
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.bounds import Bounded, mean_square_of_differences
+from radwrap.imaging.tolerance.seen_tiles import SeenTiles
 from radwrap.kept import Kept
 from radwrap.manifest import sha256_of_value
 from radwrap.process import Programs
@@ -131,6 +132,8 @@ class Work:
         Of the images; default those of the folder.
     kept : Kept, optional
         Where what does not hang on the image is looked up, and kept.
+    seen : SeenTiles, optional
+        Where what rays saw is kept, if waves may be told by it.
     """
 
     view: View
@@ -141,6 +144,7 @@ class Work:
     seed: int
     pieces: Pieces | None = None
     kept: Kept | None = None
+    seen: SeenTiles | None = None
 
 
 class TooManyRays(Exception):
@@ -170,6 +174,8 @@ def trace_replicates(work: Work, plan: PurePlan, number: int, most: float = math
         If the tracer or the disk fails.
     """
     name = plan_name(work, plan)
+    if work.seen is not None and isinstance(plan, KernelPlan):
+        work.seen.begin(name, plan, number)
     tiles = range(len(plan.tiles))
     shared = among(work, len(tiles))
     decided = [_CellsPiece(shared, plan, name, tile) for tile in tiles] if isinstance(plan, KernelPlan) else []
@@ -310,6 +316,8 @@ class _TilePiece:
         work = self._work
         cells = _CellsPiece(work, plan, self._whole, self.tile).cells()
         gathered = gathered_tile(work.view, plan, self.tile, cells, seed=seed, progress=work.progress.add)
+        if work.seen is not None and cells.samples:
+            work.seen.put(self._whole, (self.replicate, self.tile), plan, gathered.central, gathered.coarser)
         grid = [gathered.change]
         if not plan.grid.even:
             squares = gathered.grid_squares(plan.grid.exposure_of_radiance, plan.camera.sensor)

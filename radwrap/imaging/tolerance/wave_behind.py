@@ -12,20 +12,45 @@ being laid out where it is seen is how far this may be off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.methods.around import least_around, most_around, sum_around
 from radwrap.imaging.methods.kernel import layer_places, layer_share, layers_met
 
 Array = NDArray[np.float64]
 ByLayer = dict[int, Array]  # of the layers that have any, by their number
 Flags = NDArray[np.bool_]
 
-# Of the distance between layers: what differs by less from its neighbour goes on as a slope.
+# Of the distance between layers: what differs by less from its neighbour goes on as a slope. Near a larger step, which
+# may be the edge of a wall, so does what differs by less than a share of it.
 _STEP: Final = 0.5
+_OF_LARGER: Final = 0.2
+_NEAR: Final = 65  # cells, of a square
+_MOST_CROSSED: Final = 2  # cells in a row that one edge crosses
+_FEW: Final = 256  # cells: as many as lie between near and far where an edge crosses them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """Where something hides what is farther.
+
+    Attributes
+    ----------
+    near : ndarray of bool, shape (rows, columns)
+        Where it is seen.
+    step : ndarray, shape (rows, columns)
+        By how much it is nearer there than what is seen beside it, in shares of the largest step.
+    far : Filling
+        Of what lies farther; goes on there.
+    """
+
+    near: Flags
+    step: Array
+    far: Filling
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,44 +61,132 @@ class Layout:
     ----------
     shares : dict of ndarray, shape (rows, columns)
         Of each layer in the light where it is seen; of layers that have some.
-    hiding : tuple of (ndarray of bool, Filling)
-        Where near things hide others, the farthest first, and what goes on there.
-    behind : dict of ndarray, shape (rows, columns)
-        Of each layer in the light that goes on; none where nothing hides.
+    place : ndarray, shape (rows, columns)
+        Number of the layer that things lie in, or between.
+    edges : tuple of Edge
+        Where something hides another thing, the farthest first.
+    apart : float
+        By how much magnifications differ at an edge, at most.
+    near, behind : dict of ndarray, shape (rows, columns)
+        Of each layer in what the near thing adds to the light that goes on, and in that light; none where nothing
+        hides.
     """
 
     shares: ByLayer
-    hiding: tuple[tuple[Flags, Filling], ...]
-    behind: ByLayer
+    place: Array
+    edges: tuple[Edge, ...] = ()
+    apart: float = 0.0
+    near: ByLayer = field(default_factory=dict)
+    behind: ByLayer = field(default_factory=dict)
 
     @classmethod
     def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
-        """For magnifications of shape (rows, columns), and those of the layers, from the farthest on."""
+        """For magnifications of shape (rows, columns), and those of the layers, from the farthest on.
+
+        Cells beside an edge belong to what is near. An edge may cross them: what lies behind is then seen in a part of
+        them, and what is near adds all that the rest of them lacks.
+        """
         if len(layers) == 1:
-            return cls(shares_by_layer(magnification, layers), (), {})
+            return cls(shares_by_layer(magnification, layers), np.zeros_like(magnification))
         place = layer_places(layers, magnification)
         shares = _shares_at(place)
-        if not any((np.abs(np.diff(place, axis=axis)) > _STEP).any() for axis in (0, 1)):
-            return cls(shares, (), {})
-        number = np.rint(place).astype(np.intp)
-        hiding, depth = [], magnification.copy()
-        for near in np.unique(number)[1:].tolist():
-            here, far = number == near, Filling.of(number < near)
-            depth[here] = far.filled(magnification)[here]
-            hiding.append((here, far))
-        return cls(shares, tuple(hiding), shares_by_layer(depth, layers))
+        if not _may_step(place):
+            return cls(shares, place)
+        least = _least_steps(place)
+        for _ in range(_MOST_CROSSED):
+            nearest = most_around(place, 3)
+            place = np.where(nearest - least_around(place, 3) > least, nearest, place)
+        number = _parted(place, _between(*_steps(place, least)))
+        step = place - least_around(place, 3)
+        step[step <= least] = 0.0
+        edges, depth, largest = [], magnification.copy(), float(step.max())
+        for near in np.flatnonzero(np.bincount(number.ravel()))[1:].tolist():
+            edge = Edge(here := number == near, np.where(here, step, 0.0) / largest, Filling.of(number < near))
+            depth[here] = edge.far.filled(magnification)[here]
+            edges.append(edge)
+        if not edges:  # what lies behind is seen in crossed cells only
+            return cls(shares, place, near=_shares_at(place))
+        apart = largest * (layers[1] - layers[0])
+        return cls(shares, place, tuple(edges), apart, _shares_at(place), shares_by_layer(depth, layers))
 
     def going_on(self, values: Array) -> ByLayer | None:
         """As `as_seen`, what lies behind laid out to go on; None where nothing hides another thing."""
-        if not self.behind:
+        if not self.near:
             return None
         light = np.zeros_like(values)
-        for here, far in self.hiding:
-            light[here] = far.filled(values)[here]
-        found = as_seen(values - light, self.shares)
+        for edge in self.edges:
+            light[edge.near] = edge.far.filled(values)[edge.near]
+        found = as_seen(values - light, self.near)
         for number, share in self.behind.items():
             found[number] = found.get(number, 0.0) + light * share
         return dict(sorted(found.items()))
+
+    def uneven(self, values: Array, reach: int) -> tuple[ByLayer, ByLayer]:
+        """What lies behind, within so many cells of an edge, less its mean there: as far as it is, and as near.
+
+        An edge cuts some of the opening off from such light, and blurs it as neither depth does.
+        """
+        found, size = np.zeros_like(values), 2 * reach + 1
+        for edge in self.edges:
+            part = _box(edge.step > 0, 2 * reach)
+            known, light = edge.far.known[part], values[part]
+            share = most_around(edge.step[part], size)
+            cut = known & (share > 0)
+            sums, counts = (sum_around(each, size)[cut] for each in (np.where(known, light, 0.0), known.astype(float)))
+            found[part][cut] += share[cut] * (light[cut] - sums / counts)
+        return as_seen(found, self.shares), as_seen(found, _shares_at(most_around(self.place, size)))
+
+
+def _box(flags: Flags, around: int) -> tuple[slice, slice]:
+    """The rectangle that holds all flags, of which there is one at least, and so many cells around them."""
+    ends = (np.flatnonzero(flags.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    rows, columns = (slice(max(0, int(first) - around), int(last) + around + 1) for first, last in ends)
+    return rows, columns
+
+
+def _may_step(place: Array) -> bool:
+    """Whether cells beside each other, or beside one that an edge crosses, differ by a step."""
+    return any(
+        bool((np.abs(cells[apart:] - cells[:-apart]) > _STEP).any()) for cells in (place, place.T) for apart in (1, 2)
+    )
+
+
+def _least_steps(place: Array) -> Array:
+    """What is a step at each place: more than half a layer, and than a wall rises in a cell near a larger one."""
+    across = most_around(place, 3) - least_around(place, 3)
+    return np.asarray(np.maximum(_STEP, _OF_LARGER * most_around(across, _NEAR)))
+
+
+def _steps(place: Array, least: Array) -> tuple[Array, Array]:
+    """Places that lie beside each other at a step: the farther and the nearer of each two."""
+    beside = [
+        (one[1:], one[:-1], np.maximum(most[1:], most[:-1])) for one, most in ((place, least), (place.T, least.T))
+    ]
+    both = np.concatenate([np.stack((a, b))[:, np.abs(a - b) > most] for a, b, most in beside], axis=1)
+    far, near = np.sort(both, axis=0)
+    return far, near
+
+
+def _between(far: Array, near: Array) -> list[float]:
+    """Places between those at steps, as few as part them all, the farthest first."""
+    found = list[float]()
+    while far.size:
+        least = near.min()
+        parted = far < least
+        found.append(float(far[parted].max() + least) / 2)
+        far, near = far[~parted], near[~parted]
+    return found
+
+
+def _parted(place: Array, between: list[float]) -> NDArray[np.intp]:
+    """Between which of them each place lies; few cells, which an edge crosses, lie with what is nearer."""
+    number = np.digitize(place, between)
+    counts = np.bincount(number.ravel(), minlength=len(between) + 1)
+    # Of the farthest there may be few.
+    goes = [here for here in range(1, len(between)) if counts[here] < _FEW]
+    for here in goes:
+        number[number == here] = here + 1
+    return number
 
 
 def shares_by_layer(magnification: Array, layers: tuple[float, ...]) -> ByLayer:

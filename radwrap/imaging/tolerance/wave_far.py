@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from radwrap.imaging.methods.kernel import fast_length
+from radwrap.imaging.methods.transforms import correlated, fast_length, spectrum_of
 from radwrap.imaging.optics.guard_band import BLOCKS, FEWEST_BLOCK
 from radwrap.imaging.optics.view import View, known_or_traced
 from radwrap.imaging.optics.waves import rim
@@ -41,8 +41,29 @@ _BESIDE: Final = 8
 _INSIDE: Final = 6  # places along a side of a block, of which the guard band's rim cuts some
 
 
-def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[int], None]) -> Array:
+def far_light(
+    view: View,
+    plan: WavePlan,
+    replicate: int,
+    progress: Callable[[int], None],
+    *,
+    on_sensor: Callable[[float], Array] | None = None,
+) -> Array:
     """Mean light of each source that comes from beyond the guard band, at the middles of blocks of pixels.
+
+    Parameters
+    ----------
+    view : View
+        Whose.
+    plan : WavePlan
+        Which rays tell it.
+    replicate : int
+        Which of its sets.
+    progress : callable
+        Is told how many rays were traced.
+    on_sensor : callable, optional
+        Of blocks of a side [px] that lie on the sensor their mean light [W m^-2 sr^-1], shape (rows, columns), of the
+        one source that there is; these need no rays then.
 
     Returns
     -------
@@ -51,7 +72,7 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
     """
     random = generator(plan.seed, Rendering.WAVE_FAR, replicate)
     rings = _rings(plan)
-    each = [_from_ring(view, plan, ring, random, progress) for ring in rings]
+    each = [_from_ring(view, plan, ring, random, progress, on_sensor=on_sensor) for ring in rings]
     beyond = each[-1]
     for found, ring, outer in reversed(list(zip(each, rings, rings[1:], strict=False))):
         for axis, size in enumerate(found.shape[1:], start=1):
@@ -63,12 +84,21 @@ def far_light(view: View, plan: WavePlan, replicate: int, progress: Callable[[in
 
 
 def _from_ring(
-    view: View, plan: WavePlan, coarse: _Coarse, random: np.random.Generator, progress: Callable[[int], None]
+    view: View,
+    plan: WavePlan,
+    coarse: _Coarse,
+    random: np.random.Generator,
+    progress: Callable[[int], None],
+    *,
+    on_sensor: Callable[[float], Array] | None,
 ) -> Array:
     """As `far_light`, of the light from a ring around each place."""
     block, margin, (rows, columns) = coarse.block, coarse.margin, coarse.shape
     places, owners = [], []
+    known = np.empty((0, 0)) if on_sensor is None else on_sensor(block)
+    inside_of = coarse.from_corner(known.shape)
     for some, strata in _strata(coarse, plan.far_strata):
+        some[inside_of] = False
         row, column = np.nonzero(some)
         inside = (np.indices((strata, strata)).reshape(2, 1, -1) + random.random((2, len(row), strata**2))) / strata
         places.append(np.stack([row[:, np.newaxis] + inside[0], column[:, np.newaxis] + inside[1]]).reshape(2, -1))
@@ -79,8 +109,10 @@ def _from_ring(
     tracing = _with_noise(view, coarse.share(plan), kernel)
     light, _ = known_or_traced(tracing, known_to(view, plan), u, v, traced=progress)
     rays = np.bincount(owner, minlength=rows * columns)
-    values = np.stack([np.bincount(owner, one, rows * columns) / rays for one in light.reshape(-1, len(u))])
-    return np.stack([_correlated(one, kernel) for one in values.reshape(-1, rows, columns)])
+    sums = np.stack([np.bincount(owner, one, rows * columns) for one in light.reshape(-1, len(u))])
+    values = (sums / np.maximum(rays, 1)).reshape(-1, rows, columns)
+    values[:, *inside_of] = known
+    return np.stack([_correlated(one, kernel) for one in values])
 
 
 def far_view(view: View, plan: WavePlan) -> View:
@@ -103,14 +135,24 @@ def _kernel(plan: WavePlan, coarse: _Coarse) -> Array:
     return _tail_kernel(aperture, *(length / coarse.block for length in (rim_at, coarse.near, coarse.far)))
 
 
-def far_rays(plan: WavePlan) -> int:
-    """About how many rays `far_light` takes: none in smooth blocks."""
+def far_rays(plan: WavePlan, *, beside: bool = False) -> int:
+    """About how many rays `far_light` takes, or so many of them go `beside` the sensor: none in smooth blocks."""
     sensor, rays = plan.kernel.camera.sensor, 0.0
     known = 0.0 if plan.smooth is None else plan.smooth.share_of((0, sensor.rows - 1), (0, sensor.columns - 1))
     for ring in _rings(plan):
-        rays += sum(np.count_nonzero(some) * strata**2 for some, strata in _strata(ring, plan.far_strata))
-        rays -= known * sensor.pixels / ring.block**2 * min(_ON_SENSOR, plan.far_strata, round(ring.block)) ** 2
+        on_sensor = ring.from_corner(whole_blocks(sensor, ring.block))
+        for some, strata in _strata(ring, plan.far_strata):
+            if beside:
+                some[on_sensor] = False
+            rays += np.count_nonzero(some) * strata**2
+        if not beside:
+            rays -= known * sensor.pixels / ring.block**2 * min(_ON_SENSOR, plan.far_strata, round(ring.block)) ** 2
     return round(rays)
+
+
+def whole_blocks(sensor: Sensor, block: float) -> tuple[int, int]:
+    """How many rows and columns of blocks lie on a sensor, from its corner on."""
+    return math.floor(sensor.rows / block), math.floor(sensor.columns / block)
 
 
 def strata_for(plan: WavePlan, seen: float, allowed: float) -> int:
@@ -150,9 +192,8 @@ def _correlated(values: Array, kernel: Array) -> Array:
 
     By transforms of numpy: to load scipy's takes longer than all that they do here.
     """
-    rows, columns = (fast_length(size) for size in values.shape)  # what goes round is cut off
-    spectrum = np.fft.rfft2(values, (rows, columns)) * np.fft.rfft2(kernel, (rows, columns))
-    found: Array = np.fft.irfft2(spectrum, (rows, columns))
+    shape = [fast_length(size) for size in values.shape]  # what goes round is cut off
+    found = correlated([spectrum_of(values, shape)], [spectrum_of(kernel, shape)], shape)
     return found[kernel.shape[0] - 1 : values.shape[0], kernel.shape[1] - 1 : values.shape[1]]
 
 
@@ -176,7 +217,8 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
     mean = around
     for axis, size in enumerate((sensor.rows, sensor.columns)):
         mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / rings[0].block - 0.5, axis)
-    beyond = min(plan.waves.tail(rings[-1].far * plan.pitch), abs(share)) + OF_FAR * abs(share)
+    off = math.hypot(OF_FAR * share, plan.weights.share_spread)
+    beyond = min(plan.waves.tail(rings[-1].far * plan.pitch), abs(share)) + off
     return share * mean, beyond * mean
 
 
@@ -225,6 +267,10 @@ class _Coarse:
     @property
     def blocks(self) -> int:
         return self.shape[0] * self.shape[1]
+
+    def from_corner(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
+        """So many rows and columns of blocks, from the sensor's corner on."""
+        return tuple(slice(self.margin, self.margin + size) for size in shape)
 
     def share(self, plan: WavePlan) -> float:
         """Share of the light that waves send farther than the ring's beginning."""

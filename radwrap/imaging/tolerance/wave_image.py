@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -52,7 +52,13 @@ class WaveError:
 
 
 def wave_error(
-    parts: WaveParts, made: Array, gray: Gray, block: int, own: tuple[Array, Array] | None = None
+    parts: WaveParts,
+    made: Array,
+    gray: Gray,
+    block: int,
+    own: tuple[Array, Array] | None = None,
+    *,
+    images: NDArray[np.float32] | None = None,
 ) -> WaveError:
     """How far an image may be off by what waves added to it.
 
@@ -69,6 +75,9 @@ def wave_error(
     own : tuple of ndarray, shape (rows, columns), optional
         What the size of the image's own cells adds to it, as its own certificate has it and as it counts beside waves
         [W m^-2 sr^-1], where that is known.
+    images : ndarray, shape (replicates, rows, columns), optional
+        Those without waves, where each has the rays of one of the sets [W m^-2 sr^-1]: noise is then what the sum has
+        more than they have, or less.
 
     Notes
     -----
@@ -76,22 +85,31 @@ def wave_error(
     of rays are off alike, and the sum by what the waves' own is, which knows no edges as sharp: so what both sizes
     change adds pixel by pixel. How light is laid out where things hide, and glass is mixed, has nothing of that.
     """
-    replicates, scale = len(parts.change), 1.0
     noise, size = NOTHING, np.zeros(made.shape)
     if (parts.change != parts.change[0]).any():
-        samples = np.empty((replicates - 1, *made.shape))
-        for strip in strips_of(*made.shape):
-            change = parts.change[:, strip]
-            # Each replicate about the image as it is: where it is saturated none of them shows.
-            samples[:, strip] = contrasts(gray(made[strip] + (change - change.mean(axis=0))))
-            size[strip] = np.sqrt((samples[:, strip] ** 2).mean(axis=0))
-        noise = mean_square_of_differences(samples, (block, block))
-        scale = math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
-    lasting = lasting_wave_error(parts.cells, parts.beyond, made, gray, noise=scale * size)
+        # Each replicate about the image as it is: where it is saturated none of them shows.
+        noise, size = _noise_of((parts.change,), made, gray, block)
+        size *= math.sqrt(noise.upper / noise.mean) if noise.mean > 0 else 1.0
+        if images is not None:
+            without, whole = (_noise_of(each, made, gray, block)[0] for each in ((images,), (images, parts.change)))
+            noise = Bounded(whole.mean - without.mean, whole.upper - without.upper)
+    lasting = lasting_wave_error(parts.cells, parts.beyond, made, gray, noise=size)
     if own is not None and not parts.lasting.any():
         lasting = replace(lasting, cells=_beside_own(own, parts.cells, made, gray))
     common = _common_square(parts.lasting, made, gray)
     return replace(lasting, noise=noise, lasting=min(lasting.cells, common))
+
+
+def _noise_of(
+    terms: Sequence[Array | NDArray[np.float32]], made: Array, gray: Gray, block: int
+) -> tuple[Bounded, Array]:
+    """Mean square of the noise in the mean of replicates that are sums of terms, and its rms at each pixel."""
+    samples, size = np.empty((len(terms[0]) - 1, *made.shape)), np.empty(made.shape)
+    for strip in strips_of(*made.shape):
+        moved = sum(each[:, strip] - each[:, strip].mean(axis=0, dtype=np.float64) for each in terms)
+        samples[:, strip] = contrasts(gray(made[strip] + moved))
+        size[strip] = np.sqrt((samples[:, strip] ** 2).mean(axis=0))
+    return mean_square_of_differences(samples, (block, block)), size
 
 
 def _beside_own(own: tuple[Array, Array], cells: Array, made: Array, gray: Gray) -> float:

@@ -1,8 +1,9 @@
 """What waves add to an image that rays made, before Eq. 5: their footprint less that of rays, over the central image.
 
 Light of different points adds as intensity, whatever made the image: so one
-correction serves all methods. The central image is traced anew, as the kernel
-traces it, but wider by a guard band; what waves send farther comes from a
+correction serves all methods. The central image is that of the image's own
+rays where these suffice, see `own_rays`; else it is traced anew, as the kernel
+traces it. It is wider by a guard band; what waves send farther comes from a
 coarse image around it. Where rays go is decided once, in the light of all
 sources; the very same rays then tell what waves add to the light of each.
 """
@@ -26,13 +27,14 @@ from radwrap.imaging.methods.kernel import (
     NO_CELLS,
     coarsened,
     decide_tile,
-    fast_length,
     is_smooth,
     lattice,
     layer_places,
 )
+from radwrap.imaging.methods.transforms import correlated, fast_length, spectrum_of
 from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
 from radwrap.imaging.optics.view import View
+from radwrap.imaging.tolerance.own_rays import OwnRays, traced_beside
 from radwrap.imaging.tolerance.wave_behind import ByLayer, Layout, as_seen, shares_by_layer
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
 from radwrap.imaging.tolerance.wave_plan import WavePlan, bare, known_to
@@ -44,11 +46,16 @@ Complex = NDArray[np.complex128]
 Rect = tuple[int, int, int, int]
 Part = tuple[slice, slice]  # rows and columns
 Job = Callable[[], None]
+Changed = tuple[Array, Array, Array]  # see `wave_tile`
+Changes = Callable[[int], Iterator[tuple[int, Changed]]]  # of a tile: which replicate, and what its waves add
 
-# Of what it changes to lay light out as if what lies behind went on: how far that may be off. By Fresnel's integral,
-# scripts/wave_occlusion.py, .01 to .11 where what lies behind is even. Where that has strong structure right beside the
-# edge it can be all of it and more, which is not held.
-OF_HIDING: Final = 0.25
+# How far light may be off that is laid out as if what lies behind went on: so much of what that changes, and of what
+# waves do to light behind an edge that is not even, were it as far as it is and as near as the edge. By Fresnel's
+# integral, scripts/wave_occlusion.py, where light is even behind the edge .01 to .03 of the first, and by renders; more
+# only of what is less than .5 % of the light (.27 of .15 %). Of the second .1 to 1.5 of what `WavePlan.cut_by_edge` has
+# of it, and 1.8 by renders.
+OF_HIDING: Final = 0.06
+OF_UNEVEN: Final = 2.0
 _MOST_KEPT: Final = 1 << 28  # byte of transforms
 _NO_LIGHT: Final = 1e-9  # of the brightest layer: what rounding leaves of a flat face in the layer beside its own
 
@@ -72,6 +79,8 @@ class WaveParts:
         How many it took.
     sampling : EdgeSampling
         Rays in cells that differ much, which all tiles had in common.
+    by_own_rays : bool
+        Whether each set of rays is that of one replicate of the image.
     """
 
     change: Array
@@ -80,6 +89,7 @@ class WaveParts:
     beyond: Array
     rays: int
     sampling: EdgeSampling
+    by_own_rays: bool = False
 
 
 def in_turn(jobs: list[Job]) -> None:
@@ -95,6 +105,7 @@ def wave_parts(
     *,
     progress: Callable[[int], None],
     run: Callable[[list[Job]], None] = in_turn,
+    own: OwnRays | None = None,
 ) -> WaveParts:
     """What waves add to the light of a view that does not tell its sources apart.
 
@@ -110,9 +121,11 @@ def wave_parts(
         Is told how many rays were traced.
     run : callable
         Calls jobs, some of them at a time perhaps, as `run_jobs` does; raises where the run is to end.
+    own : OwnRays, optional
+        Of as many replicates of the image that waves are added to, if they suffice for the one plan that there is.
     """
     plan = plans[0][1]
-    sensor, of_all = plan.kernel.camera.sensor, view if len(plans) > 1 else None
+    sensor = plan.kernel.camera.sensor
     change = np.zeros((replicates, sensor.rows, sensor.columns))
     cells, lasting = np.zeros((sensor.rows, sensor.columns)), np.zeros_like(change)
     counted, guard = plan.rays, threading.Lock()
@@ -123,52 +136,105 @@ def wave_parts(
             counted += rays
         progress(rays)
 
-    tiles = range(len(plan.kernel.tiles))
-    decided = dict[int, Cells]()
+    def add_near() -> EdgeSampling:
+        """Transforms, which take much memory, go at the end."""
+        if own is None:
+            sampling, each = _anew(view, plans, replicates, count, run)
+        else:
+            sampling, each = _by_own_rays(view, plan, own, count, run)
 
-    def decide(tile: int) -> None:
-        decided[tile] = wave_cells(replace(view, workers=1), plan, tile, count)
-
-    run([partial(decide, tile) for tile in tiles])
-    sampling = sampling_of_all(plan, decided)
-    finest = plan.kernel.grid.levels
-    transforms = kept_transforms()
-
-    def trace(tile: int) -> None:
-        r0, r1, c0, c1 = plan.kernel.tiles[tile]
-        each = decided[tile].with_rays(finest, sampling)
-        for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
-            one, alike = replace(lit, workers=1), None if of_all is None else replace(of_all, workers=1)
-            traced = wave_tile(one, [of_light], (tile, replicate), each, count, transforms=transforms, of_all=alike)
-            for found, of_cells, of_hiding in traced:
+        def trace(tile: int) -> None:
+            r0, r1, c0, c1 = plan.kernel.tiles[tile]
+            for replicate, (found, of_cells, of_hiding) in each(tile):
                 change[replicate, r0:r1, c0:c1] += found
                 cells[r0:r1, c0:c1] += of_cells / replicates
                 lasting[replicate, r0:r1, c0:c1] += of_hiding
 
-    run([partial(trace, tile) for tile in tiles])
+        run([partial(trace, tile) for tile in range(len(plan.kernel.tiles))])
+        return sampling
+
+    sampling = add_near()
     beyond = np.zeros((replicates, sensor.rows, sensor.columns))
 
     def add_far(replicate: int) -> None:
+        on_sensor = None if own is None else partial(own.means, replicate=replicate)
         for lit, of_light in plans:
-            (around,) = far_light(replace(lit, workers=1), plan, replicate, count)
+            (around,) = far_light(replace(lit, workers=1), plan, replicate, count, on_sensor=on_sensor)
             far, farther = far_change(of_light, around)
             change[replicate] += far
             beyond[replicate] += farther / replicates
 
     run([partial(add_far, replicate) for replicate in range(replicates)])
     beyond = beyond.sum(axis=0)
-    return WaveParts(change, cells, lasting, beyond, counted, sampling)
+    return WaveParts(change, cells, lasting, beyond, counted, sampling, own is not None)
+
+
+def _anew(
+    view: View,
+    plans: Sequence[tuple[View, WavePlan]],
+    replicates: int,
+    count: Callable[[int], None],
+    run: Callable[[list[Job]], None],
+) -> tuple[EdgeSampling, Changes]:
+    """Decide where rays go; gives what traces them, and gathers, tile by tile."""
+    plan = plans[0][1]
+    tiles, decided = range(len(plan.kernel.tiles)), dict[int, Cells]()
+
+    def decide(tile: int) -> None:
+        decided[tile] = wave_cells(replace(view, workers=1), plan, tile, count)
+
+    run([partial(decide, tile) for tile in tiles])
+    sampling = sampling_of_all(plan, decided)
+    finest, transforms = plan.kernel.grid.levels, kept_transforms()
+    alike = replace(view, workers=1) if len(plans) > 1 else None
+
+    def each(tile: int) -> Iterator[tuple[int, Changed]]:
+        cells = decided[tile].with_rays(finest, sampling)
+        for replicate, (lit, of_light) in itertools.product(range(replicates), plans):
+            one, which = replace(lit, workers=1), (tile, replicate)
+            for changed in wave_tile(one, [of_light], which, cells, count, transforms=transforms, of_all=alike):
+                yield replicate, changed
+
+    return sampling, each
+
+
+def _by_own_rays(
+    view: View, plan: WavePlan, own: OwnRays, count: Callable[[int], None], run: Callable[[list[Job]], None]
+) -> tuple[EdgeSampling, Changes]:
+    """As `_anew`, but rays are traced beside the sensor only."""
+    one, transforms = replace(view, workers=1), kept_transforms()
+    beside = traced_beside(one, plan, own.replicates, count, run)
+
+    def each(tile: int) -> Iterator[tuple[int, Changed]]:
+        if _is_smooth(plan, tile):
+            for changed in _smooth_tile(one, [plan], plan.kernel.tiles[tile]):
+                yield from ((replicate, changed) for replicate in range(own.replicates))
+            return
+        images = [own.central(plan, tile, seen, replicate) for replicate, seen in enumerate(beside.seen)]
+        depths = [image.magnification for image in images if image.magnification is not None]
+        layout = Layout.of(np.mean(depths, axis=0), plan.kernel.layers) if depths else None
+        for replicate, central in enumerate(images):
+            rough = coarsened(central)
+            for changed in waves_of([plan], tile, central, rough, transforms=transforms, layout=layout):
+                yield replicate, changed
+
+    return beside.sampling, each
 
 
 def wave_cells(view: View, plan: WavePlan, tile: int, progress: Callable[[int], None]) -> Cells:
     """Find out, in the light of all sources, which cells of the central image a tile needs."""
-    # Glass may move light to one side: the sum of the weights does not tell that.
-    symmetric = plan.kernel.camera.lens is None or plan.kernel.camera.lens.glass is None
-    if symmetric and is_smooth(plan.smooth, plan.kernel, plan.kernel.tiles[tile]):
+    if _is_smooth(plan, tile):
         return NO_CELLS
     seed = (plan.seed, Rendering.WAVE_CELLS, tile)
     found = decide_tile(bare(view), plan.kernel, tile, seed, progress, smooth=plan.smooth)
     return found if plan.sampling is None else found.with_rays(plan.kernel.grid.levels, plan.sampling)
+
+
+def _is_smooth(plan: WavePlan, tile: int) -> bool:
+    """Whether a tile gathers from smooth blocks only, of a lens whose glass moves light to no side."""
+    # Where it does, the sum of the weights does not tell that.
+    symmetric = plan.kernel.camera.lens is None or plan.kernel.camera.lens.glass is None
+    return symmetric and is_smooth(plan.smooth, plan.kernel, plan.kernel.tiles[tile])
 
 
 def sampling_of_all(plan: WavePlan, decided: Mapping[int, Cells]) -> EdgeSampling:
@@ -190,7 +256,7 @@ def wave_tile(
     *,
     transforms: Kept,
     of_all: View | None = None,
-) -> Iterator[tuple[Array, Array, Array]]:
+) -> Iterator[Changed]:
     """Trace a tile, and gather what waves add to each source that the view tells apart.
 
     Parameters
@@ -215,26 +281,59 @@ def wave_tile(
     change, cells, lasting : ndarray, shape (rows, columns)
         See `WaveParts`; without the light from far away.
     """
-    tile, replicate = which
-    plan = plans[0]
+    plan, (tile, _) = plans[0], which
     if not cells.samples:
         yield from _smooth_tile(view, plans, plan.kernel.tiles[tile])
         return
-    kernel = plan.kernel
+    images = wave_images(view, plan, which, cells, progress, of_all=of_all)
+    yield from waves_of(plans, tile, *images, transforms=transforms)
+
+
+def wave_images(
+    view: View,
+    plan: WavePlan,
+    which: tuple[int, int],
+    cells: Cells,
+    progress: Callable[[int], None],
+    *,
+    of_all: View | None = None,
+) -> tuple[CentralImage, CentralImage]:
+    """Trace what a tile gathers from: in its cells, and in such of twice the size; parameters as of `wave_tile`."""
+    (tile, replicate), grid = which, plan.kernel.grid
     key = (plan.seed, Rendering.WAVE_RAYS, replicate, tile)
 
     def seen_by(view: View, like: CentralImage | None = None) -> CentralImage:
         smooth = known_to(view, plan)
-        return central_image(bare(view), kernel.grid, cells, seed=key, progress=progress, like=like, smooth=smooth)
+        return central_image(bare(view), grid, cells, seed=key, progress=progress, like=like, smooth=smooth)
 
-    like = seen_by(of_all) if of_all is not None and kernel.grid.with_depth else None
+    like = seen_by(of_all) if of_all is not None and grid.with_depth else None
     central = seen_by(view, like)
     summed = central if central.values.ndim == 2 else replace(central, values=central.values.sum(axis=0))
-    coarser = coarsened(central, coarsened(like or summed))
-    place, cell = kernel.tiles[tile], kernel.grid.cell
-    layout = None if central.magnification is None else Layout.of(central.magnification, kernel.layers)
-    fine_shares = None if layout is None else layout.shares
-    rough_shares = None if coarser.magnification is None else shares_by_layer(coarser.magnification, kernel.layers)
+    return central, coarsened(central, coarsened(like or summed))
+
+
+def waves_of(
+    plans: Sequence[WavePlan],
+    tile: int,
+    central: CentralImage,
+    coarser: CentralImage,
+    *,
+    transforms: Kept,
+    layout: Layout | None = None,
+) -> Iterator[Changed]:
+    """Gather what waves add to each source of a central image, given that in cells of twice the size too.
+
+    A layout that several images share says what hides, else it is found in this one. Yields as `wave_tile`.
+    """
+    plan = plans[0]
+    place, cell = plan.kernel.tiles[tile], plan.kernel.grid.cell
+    layers = plan.kernel.layers
+    fine_shares, rough_shares = (
+        None if image.magnification is None else shares_by_layer(image.magnification, layers)
+        for image in (central, coarser)
+    )
+    if layout is None and central.magnification is not None:
+        layout = Layout.of(central.magnification, layers)
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
@@ -252,11 +351,18 @@ def wave_tile(
             _gathered(of_source, coarser, rough_seen, 2 * cell, place, transforms=transforms)[0] - seen_only
         )
         of_hiding = OF_HIDING * (found - seen_only)
+        if layout is not None and layout.edges:
+            reach, by_rays = of_source.cut_by_edge(layout.apart)
+            far, near = (
+                _gathered(of_source, central, light, cell, place, transforms=transforms)[0]
+                for light in layout.uneven(fine, reach)
+            )
+            of_hiding += OF_UNEVEN * by_rays * np.copysign(np.hypot(far, near), far)
         off = of_cells + of_hiding
         yield found, off + np.copysign(of_field, off), of_hiding + np.copysign(of_field, of_hiding)
 
 
-def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator[tuple[Array, Array, Array]]:
+def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator[Changed]:
     """A tile of smooth blocks only: the sum of the weights is what counts where light changes evenly."""
     known = known_to(view, plans[0])
     if known is None:
@@ -279,10 +385,10 @@ def kept_transforms() -> Kept:
 
 
 def lit_layers(light: ByLayer) -> ByLayer:
-    """Those layers that have light, one at least."""
+    """Those layers that have light."""
     brightest = {number: max(float(one.max()), -float(one.min())) for number, one in light.items()}
     least = _NO_LIGHT * max(brightest.values())
-    return {number: light[number] for number, most in brightest.items() if most > least} or dict([*light.items()][:1])
+    return {number: light[number] for number, most in brightest.items() if most > least}
 
 
 def _gathered(
@@ -299,6 +405,8 @@ def _gathered(
     found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
     phases = [(row, column) for row, column in np.ndindex(max(1, round(cell)), max(1, round(cell)))]
     light = lit_layers(light)
+    if not light:
+        return found, of_coarser
 
     def transformed(what: tuple[float, tuple[int, int], tuple[int, int], Place, int]) -> Complex:
         return of_kept(
@@ -317,12 +425,9 @@ def _gathered(
         size = cells[0].stop - cells[0].start, cells[1].stop - cells[1].start
         shape = fast_length(size[0]), fast_length(size[1])
         if cells != part:
-            spectra, part = [np.fft.rfft2(one[cells], shape) for one in light.values()], cells
+            spectra, part = [spectrum_of(one[cells], shape) for one in light.values()], cells
         for phase in phases:
-            at_phase = (transformed((cell, shape, phase, of_field, layer)) for layer in light)
-            field = np.fft.irfft2(
-                sum(spectrum * np.conj(each) for spectrum, each in zip(spectra, at_phase, strict=True)), shape
-            )
+            field = correlated(spectra, [transformed((cell, shape, phase, of_field, layer)) for layer in light], shape)
             pixels = lattice(cell, place, phase)
             row, column = (
                 np.floor(at / cell).astype(int) - first - one.start

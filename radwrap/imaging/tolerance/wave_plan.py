@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from radwrap.imaging.demand import FINEST_CELL
 from radwrap.imaging.methods.central import EdgeSampling
-from radwrap.imaging.methods.kernel import KernelPlan, fast_length, plan_kernel
-from radwrap.imaging.optics.footprint import Footprint, laid_out
+from radwrap.imaging.methods.kernel import KernelPlan, plan_kernel
+from radwrap.imaging.methods.transforms import fast_length, spectrum_of
+from radwrap.imaging.optics.footprint import Footprint, laid_out, reach_px
 from radwrap.imaging.optics.guard_band import least_guard
 from radwrap.imaging.optics.lens_field import (
     Glass,
@@ -39,6 +40,7 @@ from radwrap.tracers.noise import halvings_for
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+_Key = tuple[float, tuple[int, int], Place]  # cells, phase and place of weights
 
 _LOOK: Final = 64  # rays along a side of a look at the depths
 # A base cell is as wide as the wave's length, and as two pixels at least: with these an image was as exact as with
@@ -56,12 +58,16 @@ _ABOUT: Final = 0.25  # of a halving: the size is a guess, and the next smaller 
 # a law that is off, see `wave_far`.
 _NEAR: Final = 6.0
 _WIDEST_NEAR: Final = 64.0
+_RIM: Final = 0.5  # of the guard band, from outside
 # The weights are made on a grid so many times as wide as they are taken from, of so many cells at most.
 _AROUND: Final = 8
 _AROUND_GLASS: Final = 4  # there are many weights then; what comes in is 5e-6 of the highest
 _MOST_AROUND: Final = 1 << 23
 _LEAST_GAIN: Final = 0.05  # of noise; rays are so few then that fewer would save nothing
 FAR_STRATA: Final = 3
+# Of a wavelength, what its light may deviate by without another footprint: where contrast falls with the eighth power
+# of it, that changes .1 % of what waves add.
+_ONE_LINE: Final = 0.005
 _STEP: Final = 0.02  # of the diameter, to either side: a slope by both is off by its square
 
 
@@ -78,7 +84,7 @@ class WaveWeights:
     lens_field : LensField
         Places of the sensor at which they are made.
     made : dict
-        What was made already.
+        What was made already, and how far the layers' shares of light that goes farther were from their mean, rms.
     guard : Lock
         Held while more is made: no two threads make the same.
     """
@@ -86,11 +92,14 @@ class WaveWeights:
     kernel: KernelPlan
     terms: tuple[tuple[float, Waves], ...]
     lens_field: LensField
-    made: dict[tuple[float, tuple[int, int], Place], list[Array]] = field(default_factory=dict)
+    made: dict[_Key, tuple[list[Array], float]] = field(default_factory=dict)
     guard: threading.Lock = field(default_factory=threading.Lock)
 
     def near(self, cell: float, phase: tuple[int, int], place: Place) -> list[Array]:
         """Of each layer, shape (2 rows + 1, 2 columns + 1); cells of a pixel in the middle."""
+        return self._made_at(cell, phase, place)[0]
+
+    def _made_at(self, cell: float, phase: tuple[int, int], place: Place) -> tuple[list[Array], float]:
         key = cell, phase, place
         with self.guard:
             if key not in self.made:
@@ -99,32 +108,39 @@ class WaveWeights:
 
     def _at(
         self, place: Place, sizes: Iterable[tuple[float, tuple[int, int]]]
-    ) -> dict[tuple[float, tuple[int, int], Place], list[Array]]:
+    ) -> dict[_Key, tuple[list[Array], float]]:
         """Of a place and its mirror images: cells of all sizes share what passes, which takes longest."""
         camera, images = self.kernel.camera, images_of(self.kernel.camera, self.lens_field, place)
         keys = [(*size, image, signs) for size in sizes for image, signs in images]
-        found: dict[tuple[float, tuple[int, int], Place], list[Array]] = {key[:3]: [] for key in keys}
+        found: dict[_Key, list[Array]] = {key[:3]: [] for key in keys}
         glass = glass_at(camera, images[0][0])
         for layer in self.kernel.layers:
             once = [passed(replace(one, glass=glass), layer) if one.wavelength else None for _, one in self.terms]
             for cell, phase, image, signs in keys:
                 passes = [None if one is None else partial(_signed, one, signs) for one in once]
                 found[cell, phase, image].append(self.of_layer(layer, cell, phase, image, passes))
-        return found
+        return {key: (of_layers, _even_out(of_layers, self._rim(*key[:2]))) for key, of_layers in found.items()}
 
     def laid_out(
         self, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place, layer: int
     ) -> Complex:
-        """Their transform in a field of a shape, of the layer of a number."""
+        """Conjugate of their transform in a field of a shape, of the layer of a number."""
         near = self.near(cell, phase, place)[layer]
         corner = (-(near.shape[0] // 2), -(near.shape[1] // 2))
-        return np.fft.rfft2(laid_out(Footprint(corner, near), shape))
+        found = spectrum_of(laid_out(Footprint(corner, near), shape), shape)
+        return np.conj(found, out=found)
 
     @property
     def share(self) -> float:
         """Share of the light that goes farther."""
         cell, places = self.kernel.grid.cell, self.lens_field.places
         return -float(np.mean([each.sum() for place in places for each in self.near(cell, (0, 0), place)]))
+
+    @property
+    def share_spread(self) -> float:
+        """How far the share differs from layer to layer, rms."""
+        cell, places = self.kernel.grid.cell, self.lens_field.places
+        return math.sqrt(float(np.mean([self._made_at(cell, (0, 0), place)[1] ** 2 for place in places])))
 
     def of_layer(
         self,
@@ -134,11 +150,9 @@ class WaveWeights:
         place: Place,
         passes: Sequence[Transfer | None] | None = None,
     ) -> Array:
-        """As `near`, of one layer; with what passes of frequencies for each term, where that is made already."""
-        reach = self.kernel.reach_px[::-1]
-        # A pixel's middle beside that of the cell whose corner it shares [px].
-        beside = [(1 - cell) / 2 + shift for shift in phase]
-        rows, columns = (math.ceil((far + abs(off)) / cell + 0.5) for far, off in zip(reach, beside, strict=True))
+        """As `near`, of one layer by itself; with what passes of frequencies, where that is made already."""
+        within = self._within(cell, phase)
+        rows, columns = (size // 2 for size in within.shape)
         # What goes round comes in from far away: little, spread widely.
         glass = glass_at(self.kernel.camera, place)
         wide = max(
@@ -148,15 +162,26 @@ class WaveWeights:
         summed = self._summed(layer, cell, shape, phase, glass=glass, passes=passes or [None] * len(self.terms))
         change = np.fft.fftshift(summed)
         r, c = (size // 2 for size in shape)
-        change = change[r - rows : r + rows + 1, c - columns : c + columns + 1]
         # Cut at the same radius whatever the cells: a cell that it crosses counts in part.
-        down, across = (
-            (np.arange(-size, size + 1) * cell - off) / far
-            for size, off, far in zip((rows, columns), beside, reach, strict=True)
-        )
-        within = (1 - np.hypot(down[:, np.newaxis], across[np.newaxis])) * min(reach) / cell + 0.5
-        cut: Array = change * np.clip(within, 0.0, 1.0)
+        cut: Array = change[r - rows : r + rows + 1, c - columns : c + columns + 1] * np.clip(within, 0.0, 1.0)
         return cut
+
+    def _within(self, cell: float, phase: tuple[int, int]) -> Array:
+        """How far within reach each cell of the weights lies [cell]; half of one at what they are cut at."""
+        reach = self.kernel.reach_px[::-1]
+        # A pixel's middle beside that of the cell whose corner it shares [px].
+        beside = [(1 - cell) / 2 + shift for shift in phase]
+        sizes = [math.ceil((far + abs(off)) / cell + 0.5) for far, off in zip(reach, beside, strict=True)]
+        down, across = (
+            (np.arange(-size, size + 1) * cell - off) / far for size, off, far in zip(sizes, beside, reach, strict=True)
+        )
+        return np.asarray((1 - np.hypot(down[:, np.newaxis], across[np.newaxis])) * min(reach) / cell + 0.5)
+
+    def _rim(self, cell: float, phase: tuple[int, int]) -> Array:
+        """Shares of cells in the outermost part of the guard band."""
+        within, guard = self._within(cell, phase), _RIM * (self.kernel.guard or min(self.kernel.reach_px))
+        rim = np.clip(within, 0.0, 1.0) * (within <= max(guard / cell, 1.0))
+        return np.asarray(rim / rim.sum())
 
     def _summed(
         self,
@@ -180,6 +205,19 @@ class WaveWeights:
         if spectra:
             space += np.fft.irfft2(sum(spectra), shape)
         return space
+
+
+def _even_out(of_layers: list[Array], rim: Array) -> float:
+    """Let all layers send the same share of their light farther, as far light is not known by its depth.
+
+    What one of them sends more than others, or less, stays at the rim: light of an even field adds up, and so does what
+    lies behind and what hides it. Gives how far their shares were from the mean, rms.
+    """
+    shares = np.array([-one.sum() for one in of_layers])
+    more = shares - shares.mean()
+    for one, each in zip(of_layers, more, strict=True):
+        np.add(one, each * rim, out=one)
+    return float(np.sqrt(np.mean(more**2)))
 
 
 def _gathered_by(cell: float) -> Iterator[tuple[float, tuple[int, int]]]:
@@ -226,12 +264,18 @@ class WavePlan:
     sampling: EdgeSampling | None = None
     far_strata: int = FAR_STRATA
 
-    def at(self, wavelength: float) -> WavePlan:
-        """The same rays, for light of another wavelength [m]."""
-        if wavelength == self.waves.wavelength:
+    def at(self, wavelength: float, deviation: float = 0.0) -> WavePlan:
+        """The same rays, for light of another wavelength [m], or of such as deviate by so much of their mean.
+
+        Of the latter the mean of two footprints counts, at the mean less its deviation and more: Gauss' rule, which is
+        exact for what grows as the third power of the wavelength, of light that is as wide on either side.
+        """
+        if wavelength == self.waves.wavelength and deviation < _ONE_LINE:
             return self
         waves = replace(self.waves, wavelength=wavelength)
-        return replace(self, waves=waves, weights=WaveWeights(self.kernel, _less_rays(waves), self.weights.lens_field))
+        lines = (0.0,) if deviation < _ONE_LINE else (-deviation, deviation)
+        each = (replace(waves, wavelength=(1 + off) * wavelength) for off in lines)
+        return replace(self, waves=waves, weights=WaveWeights(self.kernel, _less_rays(*each), self.weights.lens_field))
 
     @property
     def pitch(self) -> float:
@@ -245,6 +289,15 @@ class WavePlan:
         blur = max(self.kernel.reach_px) - (self.kernel.guard or 0.0)
         bent = glass_reach(self.kernel.camera) / self.pitch
         return math.ceil(max(blur + bent, self.waves.blur / self.pitch)) + 1
+
+    def cut_by_edge(self, apart: float) -> tuple[int, float]:
+        """Within how many cells of an edge it cuts light that comes from behind, by waves or rays; and the rays' share.
+
+        `apart` is by how much both magnifications differ. At the same depth, an edge is only where light ends.
+        """
+        by_rays, by_waves = 2 * max(reach_px(self.kernel.camera, apart)), self.waves.blur / self.pitch
+        cut = by_rays + by_waves
+        return math.ceil(cut / self.kernel.grid.cell), (by_rays / cut) ** 2
 
 
 def plan_waves(
@@ -331,8 +384,13 @@ def by_diameter(plan: WavePlan) -> WavePlan:
     """The same rays, to tell how mean radiance changes with the logarithm of the opening's diameter."""
     aperture, share = plan.waves.aperture, 1 / math.log((1 + _STEP) / (1 - _STEP))
     terms = tuple(
-        (sign * share, replace(plan.waves, aperture=replace(aperture, diameter=(1 + sign * _STEP) * aperture.diameter)))
+        (
+            sign * share * factor,
+            replace(one, aperture=replace(aperture, diameter=(1 + sign * _STEP) * aperture.diameter)),
+        )
         for sign in (1, -1)
+        for factor, one in plan.weights.terms
+        if one.wavelength
     )
     return replace(plan, weights=WaveWeights(plan.kernel, terms, plan.weights.lens_field))
 

@@ -71,7 +71,7 @@ class StrobeModel(Model):
     """A source's strobe: pulses."""
 
     delay: Instant
-    """Start of the first pulse, from the start of the frame's first exposure; may be negative."""
+    """Start of the first pulse, from the start of row 0's exposure; may be negative."""
     width: Interval
     """Length of each pulse."""
     period: Interval | None = None
