@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
@@ -132,9 +135,43 @@ def test_a_full_disk_costs_no_more_than_time(tmp_path: Path, monkeypatch: pytest
     assert made(2) == 6
 
 
-def test_warming_up_compiles_all() -> None:
+def test_warming_up_is_seen() -> None:
     warm_up()
     assert is_warm()
+
+
+_WARMED: Final = """
+import sys, radwrap
+from radwrap.tracers.compiled.compiler import cache_folder
+from radwrap.tracers.compiled.warm import is_warm, warm_up
+assert not is_warm()
+warm_up()
+assert is_warm()
+before = {path.name for path in cache_folder().rglob("*.nb*")}
+for path in sys.argv[1:]:
+    cell = radwrap.load_scene(path)
+    for key, value in {"rows": 32, "columns": 38, "pixel_width": "220.8 um", "pixel_height": "220.8 um"}.items():
+        cell = radwrap.with_value(cell, f"camera.sensor.{key}", value)
+    radwrap.render(cell, workers=1, tolerance=4.0)
+    radwrap.render(cell, workers=1, tolerance=8.0, bounces=1)
+after = {path.name for path in cache_folder().rglob("*.nb*")}
+assert before == after, sorted(after - before)
+"""
+
+
+@pytest.mark.long
+def test_after_warming_up_no_image_waits_for_the_compiler(tmp_path: Path) -> None:
+    """In an empty folder of its own: in one that other images have filled nothing is lacking."""
+    cells = sorted((Path(__file__).parents[2] / "rad_scenes" / "cells").glob("*.toml"))
+    assert len(cells) >= 6
+    done = subprocess.run(
+        [sys.executable, "-c", _WARMED, *map(str, cells)],
+        env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_windows_keeps_it_in_the_local_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

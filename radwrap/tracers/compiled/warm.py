@@ -9,8 +9,9 @@ import numpy as np
 from radwrap.frames import Pose
 from radwrap.scene.materials import Lambertian
 from radwrap.scene.targets import Sheet
+from radwrap.tracers.compiled.along_curve import along_curve
 from radwrap.tracers.compiled.arrays import Cluster, Light, Wide, rows
-from radwrap.tracers.compiled.before import may_hide
+from radwrap.tracers.compiled.before import may_hide, nothing_before
 from radwrap.tracers.compiled.compiler import cache_folder
 from radwrap.tracers.compiled.cover_rows import Wardrobe
 from radwrap.tracers.compiled.layout import CompiledScene, clusters_of
@@ -75,3 +76,6 @@ def warm_up() -> None:
     next(tracer.distances([ray]))
     next(WalkingTracer(tracer, np.zeros((1, 3)), 1, 0).trace([ray]))
     smooth_blocks(scene, np.tile(ray, (4, 1)), ray, np.arange(4)[np.newaxis])
+    # What only scenes with lights ask.
+    nothing_before(rows(Wide, 1)[0], scene.targets, scene.emitters)
+    along_curve(scene.targets.nodes, ray, *frame.origin, float(frame.units), np.ones(1), np.zeros(1, dtype=np.int64))
