@@ -22,7 +22,7 @@ FINEST_CELL: Final = 1 / 16  # px
 COARSEST_CELL: Final = 64.0  # px
 _MOST_REPLICATES: Final = 1000
 _CELLS: Final = f"must be a power of 2 from {FINEST_CELL:g} to {COARSEST_CELL:g} px"
-_OPTIONAL: Final = "wave_cell"
+_OPTIONAL: Final = frozenset({"wave_cell", "wave_far"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +88,9 @@ class SamplingPlan:
     wave_cell : float or None
         Cell of the grid by which diffraction is taken, as `cell`; None where no image of the plan needs it: then only
         those have it whose scene says "on".
+    wave_far : float or None
+        Share of the light that diffraction may send farther than is looked at cell by cell; by None, and at least, what
+        goes farther than some widths of its blur.
     """
 
     method: EvenMethod
@@ -96,6 +99,7 @@ class SamplingPlan:
     rays: int | None = None
     replicates: int = REPLICATES
     wave_cell: float | None = field(default=None, metadata=ONLY_WHERE_USED)
+    wave_far: float | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     def __post_init__(self) -> None:
         if self.method not in ("kernel", "rays"):
@@ -105,6 +109,8 @@ class SamplingPlan:
             raise InputError(_CELLS, where="cell")
         if self.wave_cell is not None and not _is_power(self.wave_cell, FINEST_CELL, COARSEST_CELL):
             raise InputError(_CELLS, where="wave_cell")
+        if self.wave_far is not None and not _is_share(self.wave_far):
+            raise InputError("must be a number above 0 and at most 1", where="wave_far")
         if (self.rays is not None) == cell_due or not (cell_due or _is_power(self.rays, FEWEST, MOST)):
             raise InputError(f"must be a power of 2 from {FEWEST} to {MOST}", where="rays")
         if not isinstance(self.layered, bool):
@@ -120,7 +126,7 @@ class SamplingPlan:
 
     def as_json(self) -> dict[str, Any]:
         """As `sampling_plan` reads it."""
-        return {key: value for key, value in asdict(self).items() if key != _OPTIONAL or value is not None}
+        return {key: value for key, value in asdict(self).items() if key not in _OPTIONAL or value is not None}
 
 
 def sampling_plan(told: Any, where: str) -> SamplingPlan:
@@ -132,14 +138,18 @@ def sampling_plan(told: Any, where: str) -> SamplingPlan:
         Naming the key.
     """
     keys = set(SamplingPlan.__slots__)
-    if not isinstance(told, Mapping) or {*told, _OPTIONAL} != keys:
-        raise InputError(f"must be a table of {', '.join(sorted(keys - {_OPTIONAL}))}", where=where)
+    if not isinstance(told, Mapping) or {*told, *_OPTIONAL} != keys:
+        raise InputError(f"must be a table of {', '.join(sorted(keys - _OPTIONAL))}", where=where)
     if told["rays"] is not None and type(told["rays"]) is not int:
         raise InputError("must be a whole number", where=f"{where}.rays")
     try:
         return SamplingPlan(**told)
     except InputError as error:
         raise InputError(error.what, where=f"{where}.{error.where}") from error
+
+
+def _is_share(value: Any) -> bool:
+    return type(value) in (int, float) and 0 < value <= 1
 
 
 def _is_power(value: Any, low: float, high: float) -> bool:

@@ -82,9 +82,10 @@ class Waves:
     @property
     def far(self) -> float:
         """Share of the light that may go farther than the guard band; of images that are compared no light decides."""
-        if self.even_cell is not None or not self.seen_rms:
-            return 1.0
-        return min(1.0, _FAR_SHARE * self.options.gray_tolerance / (OF_FAR * self.seen_rms))
+        sampling = self.options.sampling
+        if sampling is not None:
+            return sampling.wave_far or 1.0
+        return far_share(self.seen_rms, _FAR_SHARE * self.options.gray_tolerance)
 
     def plan(self, asked: Asked) -> WavePlan:
         """Rays for what is asked of waves."""
@@ -163,6 +164,19 @@ class Waves:
         plans = [(light.view, told_by(plan.at(light.wavelength, light.deviation))) for light in self.lights]
         run = partial(run_jobs, programs=work.programs, workers=work.view.workers)
         return wave_parts(work.view, plans, replicates, progress=work.progress.add, run=run, own=own)
+
+
+def far_share(seen_rms: float, off: float) -> float:
+    """Share of the light that may go farther than the guard band, where its law may be off by so much.
+
+    Parameters
+    ----------
+    seen_rms : float
+        Of the light that is seen, as `seen_rms` finds it [gray level].
+    off : float
+        Rms of what the law may be off by [gray level].
+    """
+    return min(1.0, off / (OF_FAR * seen_rms)) if seen_rms else 1.0
 
 
 def may_be_told(scene: Scene, options: RenderOptions) -> bool:

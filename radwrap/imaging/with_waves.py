@@ -28,7 +28,7 @@ from radwrap.imaging.tolerance.replicates import Plan, Work
 from radwrap.imaging.tolerance.wave_image import WaveError, look, seen_rms, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import WaveParts
 from radwrap.imaging.tolerance.wave_plan import WavePlan, by_diameter, plan_waves
-from radwrap.imaging.wave_rays import TWO, Asked, Waves
+from radwrap.imaging.wave_rays import TWO, Asked, Waves, far_share
 from radwrap.imaging.wave_shares import (
     FINER,
     LEAST_LEFT,
@@ -58,6 +58,7 @@ _LEAST_LEFT_TO_ALL: Final = 0.6
 # Of the tolerance, what waves may add to the error of images that are compared; and cells by which a plan of them is
 # tried first, at least, where waves change less than that.
 _EVEN_SHARE: Final = 0.4
+_EVEN_FAR_SHARE: Final = 0.4  # and what the law of light may add that they send far
 _COARSEST_EVEN: Final = 0.5  # px
 
 
@@ -301,8 +302,24 @@ def _blur_slope(waves: Waves, added: _Added) -> Array:
     return np.where(light > 0, changed / np.where(light > 0, light, 1.0), 0.0)
 
 
-def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | None:
-    """Cells that waves of one image need of a plan of many [px]; None where it needs no waves.
+@dataclass(frozen=True, slots=True)
+class EvenWaves:
+    """What waves of one image need of a plan of many.
+
+    Attributes
+    ----------
+    wave_cell : float
+        Cells by which they are taken [px].
+    wave_far : float
+        Share of the light that they may send farther than is looked at by cells.
+    """
+
+    wave_cell: float
+    wave_far: float
+
+
+def even_waves(scene: Scene, work: Work, options: RenderOptions) -> EvenWaves | None:
+    """What waves of one image need of a plan of many; None where it needs no waves.
 
     Raises
     ------
@@ -326,7 +343,7 @@ def even_wave_cell(scene: Scene, work: Work, options: RenderOptions) -> float | 
             cell /= 2
     except TooDeep as error:
         raise _too_deep() from error
-    return cell
+    return EvenWaves(cell, far_share(seen_rms(look(work.view), work.view), _EVEN_FAR_SHARE * tolerance))
 
 
 def _do_even_cells(waves: Waves, cell: float, aim: float) -> bool:

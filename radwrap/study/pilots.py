@@ -16,7 +16,7 @@ from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, pilot, strictest
 from radwrap.imaging.tracing import laid_out
-from radwrap.imaging.with_waves import even_wave_cell
+from radwrap.imaging.with_waves import even_waves
 from radwrap.manifest import SCHEMA_VERSION, read_manifest, sha256_of_value, write_manifest
 from radwrap.process import Programs
 from radwrap.progress import Progress
@@ -45,7 +45,9 @@ def write_pilot(path: Path, scene: Scene, options: RenderOptions) -> None:
     ):
         work = Work(traced.view(), Path(folder), programs, quiet, traced.sha256(), options.seed)
         left = traced.banding.left(options)
-        found = replace(pilot(work, left.demand), wave_cell=even_wave_cell(scene, work, left))
+        found, waves = pilot(work, left.demand), even_waves(scene, work, left)
+        if waves is not None:
+            found = replace(found, wave_cell=waves.wave_cell, wave_far=waves.wave_far)
     make_folder(path.parent)
     write_manifest(path, {"schema_version": SCHEMA_VERSION, **asdict(found)})
 
@@ -54,8 +56,8 @@ def read_pilot(path: Path) -> Pilot | None:
     """What a pilot found; None where there is none, or none that is whole."""
     try:
         told = read_manifest(path)
-        cells = (told["cell"], told["wave_cell"])
-        numbers = [told["rays"], told["pixels"], told["covered"], *(cell for cell in cells if cell is not None)]
+        perhaps = (told["cell"], told["wave_cell"], told["wave_far"])
+        numbers = [told["rays"], told["pixels"], told["covered"], *(one for one in perhaps if one is not None)]
         if all(type(one) in (int, float) and math.isfinite(one) and one > 0 for one in numbers):
             return Pilot(**{one.name: told[one.name] for one in fields(Pilot)})
     except (InputError, KeyError):

@@ -437,17 +437,27 @@ def test_the_slope_by_the_diameter_is_that_of_the_closed_form(side: float, focus
     assert np.abs(found.mean(axis=0) - slope).max() < 0.1 * np.abs(slope).max()
 
 
-def test_the_opening_of_an_image_with_waves_is_not_sure() -> None:
-    """Its light is known of any footprint, where nothing changes; at rims waves turn the sign of what the size does."""
+def of_an_unsure_opening() -> dict[str, Any]:
+    """A scene's document."""
     document = tomllib.loads(BENCH.read_text())
     document["camera"]["sensor"] |= {"rows": 44, "columns": 51, "pixel_width": "28 um", "pixel_height": "28 um"}
     document["tolerances"] = {"aperture_diameter": "2 um"}
-    made = {}
+    return document
+
+
+@pytest.mark.long
+def test_the_opening_of_an_image_with_waves_is_not_sure() -> None:
+    """Its light is known of any footprint, where nothing changes; at rims waves turn the sign of what the size does."""
+    document, made = of_an_unsure_opening(), {}
     for key in ("on", "off"):
         document["camera"]["diffraction"] = key
         made[key] = radwrap.render(radwrap.scene_from_document(document), tolerance=1.0).sigma
     # Wider by 2 %: 4 % more light, of which waves leave less in the brightest places. To .3 gray: 2.45 and 2.60.
     assert 0.9 * made["off"].max() < made["on"].max() < 0.98 * made["off"].max()
+
+
+def test_an_unsure_opening_is_refused_of_a_basis_with_waves() -> None:
+    document = of_an_unsure_opening()
     document["camera"]["diffraction"] = "auto"
     with pytest.raises(InputError, match=r"tolerances.aperture_diameter: is not known of a light basis"):
         radwrap.render(radwrap.scene_from_document(document), "unused", basis=True)

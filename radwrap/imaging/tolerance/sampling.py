@@ -53,6 +53,8 @@ class Pilot:
         Pixels of the image, and of what the kernel gathers from.
     wave_cell : float or None
         Cells by which diffraction is to be taken [px]; None where it need not.
+    wave_far : float or None
+        Share of the light that it may send farther than is looked at by cells, likewise.
     """
 
     cell: float | None
@@ -61,6 +63,7 @@ class Pilot:
     pixels: float
     covered: float
     wave_cell: float | None = None
+    wave_far: float | None = None
 
 
 def pilot(work: Work, demand: Demand) -> Pilot:
@@ -108,12 +111,15 @@ def strictest(pilots: Sequence[Pilot], demand: Demand) -> SamplingPlan:
     """The plan by which each of one or more images is expected to keep its tolerance, as far as the budget goes."""
     cells = [one.cell for one in pilots if one.cell is not None]
     rays = max(one.rays for one in pilots)
-    waves = min((one.wave_cell for one in pilots if one.wave_cell is not None), default=None)
-    by_rays = SamplingPlan("rays", rays=rays, wave_cell=waves)
+    waves, far = (
+        min((one for one in each if one is not None), default=None)
+        for each in ([one.wave_cell for one in pilots], [one.wave_far for one in pilots])
+    )
+    by_rays = SamplingPlan("rays", rays=rays, wave_cell=waves, wave_far=far)
     if demand.method == "rays" or not cells or (len(cells) < len(pilots) and demand.method is None):
         return _affordable(by_rays, pilots, demand)
     layered = any(one.layered for one in pilots)
-    by_kernel = SamplingPlan("kernel", cell=min(cells), layered=layered, wave_cell=waves)
+    by_kernel = SamplingPlan("kernel", cell=min(cells), layered=layered, wave_cell=waves, wave_far=far)
     cheaper = min((by_kernel, by_rays), key=lambda plan: _cost(plan, pilots))
     return _affordable(by_kernel if demand.method == "kernel" else cheaper, pilots, demand)
 
