@@ -130,9 +130,10 @@ def test_it_is_chosen_by_its_forecast_and_takes_fewer_rays(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("number", "rays"), [(12, 2048), pytest.param(36, 8192, marks=pytest.mark.long)])
 def test_corrections_are_unbiased(number: int, rays: int) -> None:
-    """The mean of many, pixel by pixel, is what pairs and rays tell; without them the test fails by 20 deviations.
+    """The mean of many, pixel by pixel, is what pairs and rays tell.
 
-    Of 36. Of twelve by 11, and for that the model is known well enough from fewer rays.
+    Twelve are enough where the model is known from fewer rays. Where pairs seldom differ twelve means of four may all
+    be 0: their deviation is no less than what the pilot's pairs around say.
     """
     seen = behind_an_edge(rows=2)
     plan = planned(seen)
@@ -142,10 +143,13 @@ def test_corrections_are_unbiased(number: int, rays: int) -> None:
     values = np.stack([corrections(seen, plan, 0, signed, seed=(2, k), progress=lambda _: None) for k in range(number)])
     by_rays = signed > 0
     truth = np.where(by_rays, exact(seen), exact(seen) - _model(seen, plan, rays))
-    deviation = values.std(axis=0, ddof=1) / math.sqrt(number)
-    off = np.abs(values.mean(axis=0) - truth)[signed != 0]
-    allowed = 5 * deviation[signed != 0] + 2e-3  # cos^4, and the model's own noise
-    assert (off < allowed).all()
+    _, of_pairs = found.spread.reshape(2, 2, -1)
+    expected = np.where(by_rays, 0.0, of_pairs / np.sqrt(np.maximum(np.abs(signed), 1)))
+    deviation = np.maximum(values.std(axis=0, ddof=1), expected)[signed != 0] / math.sqrt(number)
+    allowed = 5 * deviation + 2e-3  # cos^4, and the model's own noise
+    assert (np.abs(values.mean(axis=0) - truth)[signed != 0] < allowed).all()
+    without = np.where(by_rays, _model(seen, plan, rays), 0.0)  # what the kernel gives
+    assert (np.abs(without - truth)[signed != 0] > 2 * allowed).mean() > 0.2
 
 
 def _model(seen: View, plan: HybridPlan, rays: int) -> Array:
@@ -203,7 +207,7 @@ def test_pairs_that_differ_by_more_than_the_sensor_shows_are_counted_whole() -> 
     values = np.full((2, hybrid.PAIRS), 0.5)
     differences = np.zeros((2, hybrid.PAIRS))
     differences[1, 3] = -500.0
-    found = hybrid.needs(plan, values, differences, lambda each: each)
+    found = hybrid.of_pairs(plan, values, differences).needs(plan, lambda each: each)
     spread = 500 / math.sqrt(hybrid.PAIRS)
     # 100 gray levels for the radiance 1.
     assert found.deviation[1, 1] == pytest.approx(100 * spread, rel=0.05)
@@ -345,7 +349,11 @@ def test_what_the_survey_missed_is_corrected_too(tmp_path: Path) -> None:
     """The kernel's certificate tells, and then pilot pairs look at all pixels."""
     seen = view(Aperture("round", 2e-4), (0.5, wire), (1.0, stripes))
     outcome = search(seen, tmp_path, Demand(0.4))
-    assert outcome.met and outcome.method == "hybrid"
+    kernel, corrected = (
+        min(one.rms_gray_upper95 for one in outcome.record.attempts if one.method == method)
+        for method in ("kernel", "hybrid")
+    )
+    assert outcome.met and corrected < kernel / 3
     assert outcome.record.attempts[0].method == "kernel"
     assert "away from steps" in outcome.record.why
     some = np.arange(0, seen.camera.sensor.pixels, 7)

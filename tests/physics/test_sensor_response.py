@@ -83,6 +83,15 @@ def test_no_light_is_dark() -> None:
     assert radiant_exposure_of(np.array([22.0]), FIVS).tolist() == [0.0]
 
 
+@pytest.mark.parametrize("gamma", [0.45, 1.0, 2.2])
+def test_estimates_below_no_light_have_their_noise(gamma: float) -> None:
+    """They lie as far below dark as their opposites lie above it, and are numbers, whatever gamma is."""
+    sensor, exposures = linear(gamma=gamma, dark_gray=22.0), np.array([-2.0, -1e-9, -0.0, 1e-9, 2.0])
+    off = unclipped_gray(exposures, sensor) - 22.0
+    assert np.isfinite(off).all() and off == pytest.approx(-off[::-1], abs=1e-12) and (np.diff(off) >= 0).all()
+    assert exposures.tolist() == [-2.0, -1e-9, -0.0, 1e-9, 2.0]
+
+
 @pytest.mark.parametrize("gamma", [0.1, 0.85, 3.0])
 def test_what_overflows_is_saturated(gamma: float) -> None:
     """Without a warning, which would be an error here."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Final
 
@@ -39,7 +39,11 @@ from radwrap.scene.camera import Camera, Sensor
 
 Array = NDArray[np.float64]
 
-PAIRS: Final = 32  # of a pixel, that decide what it gets
+# Pairs of a pixel that decide what it gets: a few of each, and more where so few differ around it that the rms of all
+# may be off by more than an eighth: what is seldom seen may be bright.
+FIRST_PAIRS: Final = 8
+PAIRS: Final = 32
+_ENOUGH: Final = 16
 # Deviations by which a mean of pairs, beside what the kernel gives, stays above zero.
 _SAFE: Final = 4.0
 _AROUND: Final = 2  # px to each side, whose pilot pairs are a pixel's too
@@ -160,16 +164,28 @@ def pilot(
     every = np.zeros((6, (r1 - r0) * (c1 - c0)), dtype=np.float32)
     if not pixels.size:
         return needs_of_rows(every), rays
-    random = generator(*seed)
-    values, differences = np.empty((2, len(pixels), PAIRS))
-    for part in _parts(len(pixels), PAIRS * plan.pair_rays):
-        places = _places(plan, tile, pixels[part])
-        values[part], differences[part] = _paired(view, plan, places, PAIRS, random)
-        progress((part.stop - part.start) * PAIRS * plan.pair_rays)
-    found = needs(plan, values, differences, partial(_pooled, near, pixels))
+    random, pooled = generator(*seed), partial(_pooled, near, pixels)
+
+    def traced(some: NDArray[np.intp], number: int) -> tuple[Array, Array]:
+        """Values and differences of so many pairs of each pixel, shape (pixels, number)."""
+        values, differences = np.empty((2, len(some), number))
+        for part in _parts(len(some), number * plan.pair_rays):
+            places = _places(plan, tile, some[part])
+            values[part], differences[part] = _paired(view, plan, places, number, random)
+            progress((part.stop - part.start) * number * plan.pair_rays)
+        return values, differences
+
+    first = traced(pixels, FIRST_PAIRS)
+    alone = of_pairs(plan, *first)
+    quiet = np.flatnonzero(_summed(near, pixels, alone.differing) < _ENOUGH)
+    if quiet.size:
+        rest = traced(pixels[quiet], PAIRS - FIRST_PAIRS)
+        both = (np.concatenate([one[quiet], more], axis=1) for one, more in zip(first, rest, strict=True))
+        alone = alone.at(quiet, of_pairs(plan, *both))
     # Whether a file was read or just written, the numbers are those that it holds.
-    every[:, pixels] = found.as_rows()
-    return needs_of_rows(every), rays + len(pixels) * PAIRS * plan.pair_rays
+    every[:, pixels] = alone.needs(plan, pooled).as_rows()
+    pairs = len(pixels) * FIRST_PAIRS + len(quiet) * (PAIRS - FIRST_PAIRS)
+    return needs_of_rows(every), rays + pairs * plan.pair_rays
 
 
 def rays_of(signed: NDArray[np.intp], pair_rays: int) -> int:
@@ -333,8 +349,53 @@ def _reach(plan: HybridPlan) -> list[int]:
     return [math.ceil(far) for far in reach_px(plan.camera, plan.seen.farthest)]
 
 
-def needs(plan: HybridPlan, values: Array, differences: Array, pooled: Callable[[Array], Array]) -> Needs:
-    """Judge pixels by their pilot pairs.
+@dataclass(frozen=True, slots=True, eq=False)
+class OfPairs:
+    """What each pixel's own pilot pairs say.
+
+    Attributes
+    ----------
+    mean : ndarray
+        Of its rays [W m^-2 sr^-1].
+    spread, deviation : ndarray, shape (2, pixels)
+        As of `Needs`.
+    off : ndarray
+        Root mean square of its pairs [gray level].
+    differing : ndarray
+        How many of them differ by more than what is left to the kernel.
+    """
+
+    mean: Array
+    spread: Array
+    deviation: Array
+    off: Array
+    differing: Array
+
+    def at(self, some: NDArray[np.intp], other: OfPairs) -> OfPairs:
+        """The same with what others say at some pixels."""
+        both = ((getattr(self, each.name).copy(), getattr(other, each.name)) for each in fields(self))
+        changed = []
+        for own, others in both:
+            own[..., some] = others
+            changed.append(own)
+        return OfPairs(*changed)
+
+    def needs(self, plan: HybridPlan, pooled: Callable[[Array], Array]) -> Needs:
+        """Judge pixels.
+
+        Parameters
+        ----------
+        plan : HybridPlan
+            What is planned.
+        pooled : callable
+            Root mean square of each pixel and those around it: few pairs may miss what a pixel sees.
+        """
+        spread, deviation = (np.stack([pooled(each) for each in both]) for both in (self.spread, self.deviation))
+        return Needs(self.mean, spread, deviation, pooled(self.off) > plan.left_out)
+
+
+def of_pairs(plan: HybridPlan, values: Array, differences: Array) -> OfPairs:
+    """What pilot pairs of some pixels say, each by itself.
 
     Parameters
     ----------
@@ -342,17 +403,15 @@ def needs(plan: HybridPlan, values: Array, differences: Array, pooled: Callable[
         What is planned.
     values, differences : ndarray, shape (pixels, pairs)
         As `paired` gives them.
-    pooled : callable
-        Root mean square of each pixel and those around it: few pairs may miss what a pixel sees.
     """
     scale, sensor = plan.kernel.grid.exposure_of_radiance, plan.camera.sensor
     count, mean = values.shape[1], values.mean(axis=1)
-    of_rays, of_pairs = spread = [found.std(axis=1, ddof=1) for found in (values, differences)]
-    slope = slope_in_gray(mean, of_pairs / count**0.5, scale, sensor)
-    deviation = deviation_in_gray(mean, of_rays, count, scale, sensor), slope * of_pairs
-    off = pooled(slope * np.sqrt((differences**2).mean(axis=1)))
-    pooled_spread, pooled_deviation = (np.stack([pooled(each) for each in both]) for both in (spread, deviation))
-    return Needs(mean, pooled_spread, pooled_deviation, off > plan.left_out)
+    of_rays, of_differences = spread = [found.std(axis=1, ddof=1) for found in (values, differences)]
+    slope = slope_in_gray(mean, of_differences / count**0.5, scale, sensor)
+    deviation = deviation_in_gray(mean, of_rays, count, scale, sensor), slope * of_differences
+    off = slope * np.sqrt((differences**2).mean(axis=1))
+    differing = (slope[:, np.newaxis] * np.abs(differences) > plan.left_out).sum(axis=1).astype(np.float64)
+    return OfPairs(mean, np.stack(spread), np.stack(deviation), off, differing)
 
 
 def slope_in_gray(mean: Array, error: Array, scale: float, sensor: Sensor) -> Array:
@@ -400,13 +459,16 @@ def _error_of_rays(deviation: Array, number: int) -> Array:
 
 def _pooled(near: NDArray[np.bool_], pixels: NDArray[np.intp], each: Array) -> Array:
     """Root mean square over each pixel and those around it that have a value."""
-    squares, count = np.zeros((2, *(size + 2 * _AROUND for size in near.shape)))
+    return np.asarray(np.sqrt(_summed(near, pixels, each**2) / _summed(near, pixels, np.ones(len(pixels)))))
+
+
+def _summed(near: NDArray[np.bool_], pixels: NDArray[np.intp], each: Array) -> Array:
+    """Sum over each pixel and those around it that have a value."""
+    framed = np.zeros(tuple(size + 2 * _AROUND for size in near.shape))
     inside = np.zeros(near.size)
-    inside[pixels] = each**2
-    middle = np.s_[_AROUND:-_AROUND, _AROUND:-_AROUND]
-    squares[middle], count[middle] = inside.reshape(near.shape), near
-    sums, counts = (_around(framed) for framed in (squares, count))
-    return np.asarray(np.sqrt(sums.ravel()[pixels] / counts.ravel()[pixels]))
+    inside[pixels] = each
+    framed[_AROUND:-_AROUND, _AROUND:-_AROUND] = inside.reshape(near.shape)
+    return np.asarray(_around(framed).ravel()[pixels])
 
 
 def _around(framed: Array) -> Array:

@@ -17,7 +17,8 @@ def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDA
     Parameters
     ----------
     radiant_exposure : ndarray
-        H [J m^-2], not negative.
+        H [J m^-2]. Estimates of few rays may be below 0, though no image is: the response goes on there as its mirror
+        image, so that their noise shows.
     sensor : Sensor
         Response.
 
@@ -28,7 +29,9 @@ def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDA
     """
     with np.errstate(over="ignore"):  # beyond saturation in any case
         # In place: of a large image most of the time is that of new memory.
-        gray: NDArray[np.float64] = np.asarray(np.power(radiant_exposure, float(sensor.gamma)))
+        gray: NDArray[np.float64] = np.abs(radiant_exposure)
+        np.power(gray, float(sensor.gamma), out=gray)
+        np.copysign(gray, radiant_exposure, out=gray)
         gray *= sensor.gain
         gray += sensor.dark_gray
     return gray

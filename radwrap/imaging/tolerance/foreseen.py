@@ -17,7 +17,7 @@ from radwrap.imaging.methods.hybrid import (
     are_near,
     is_looked_at_nearer,
     look_rays,
-    needs,
+    of_pairs,
     rays_of,
     signed_numbers,
 )
@@ -72,6 +72,7 @@ class Foreseen:
             return self.asked
         often, pixels = self.near / looked_at, plan.camera.sensor.pixels
         signed = signed_numbers(replace(plan, aim=aim), self.needs, pixels / often)
+        # How many differ around a pixel is not known of single ones.
         return self.asked + self.near * PAIRS * plan.pair_rays + often * number * rays_of(signed, plan.pair_rays)
 
 
@@ -91,7 +92,7 @@ def foresee(view: View, plan: HybridPlan, seed: int) -> Foreseen:
         found_near, looks = asked, 0
     places = rays_over(view.camera, columns.astype(np.float64), rows.astype(np.float64), PAIRS, random)
     values, differences = (found.reshape(len(rows), PAIRS) for found in paired(view, plan.kernel.layers, *places))
-    found = needs(plan, values, differences, lambda each: each)
+    found = of_pairs(plan, values, differences).needs(plan, lambda each: each)
     return Foreseen(found_near, asked, found, looks + values.size * plan.pair_rays)
 
 
