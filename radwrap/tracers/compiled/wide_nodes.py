@@ -8,8 +8,11 @@ from typing import Final
 import numpy as np
 
 from radwrap.tracers.compiled.arrays import (
+    BRUSHED,
     CONE,
     LAMBERTIAN,
+    TURNED_NORMAL,
+    WARD,
     WIDE_ANNULUS,
     WIDE_RECTANGLE,
     WIDE_ZONE,
@@ -20,6 +23,7 @@ from radwrap.tracers.compiled.arrays import (
 from radwrap.tracers.compiled.compiler import compiled
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import sent_by
+from radwrap.tracers.compiled.wide_shape import may_light
 
 # Nodes along a light; around a round one twice as many.
 _FEWEST: Final = 4
@@ -27,6 +31,9 @@ _MOST: Final = 16
 # Nodes lie at most so many times the roughness apart, as angles: a lobe's standard deviation is sqrt 2 times that, and
 # of a beam its own counts.
 _STEP: Final = 1.4
+# Where normals halfway between the eye and a horizon that cuts the light stand off by fewer roughnesses, a lobe ends at
+# that horizon while it is seen: 2.5 of them leave .2 per cent of its height.
+_REACH: Final = 2.5
 # Gauss-Legendre nodes from 0 to 1 and their weights: of 4, 8 and 16, one after the other.
 _RULES: Final = [np.polynomial.legendre.leggauss(count) for count in (4, 8, 16)]
 _NODES: Final = tuple(float(x + 1) / 2 for x in np.concatenate([x for x, _ in _RULES]))
@@ -34,12 +41,12 @@ _WEIGHTS: Final = tuple(float(w) / 2 for w in np.concatenate([w for _, w in _RUL
 
 
 @compiled
-def nodes_along(light: Wide, cover: Cover, p: Place) -> tuple[int, int]:
+def nodes_along(light: Wide, cover: Cover, p: Place, n: Place, v: Place) -> tuple[int, int]:
     """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where more than `_MOST` must."""
     along, around = _lengths(light)
     if light.beam == CONE:
         return 0, 0
-    fine = cover.fine
+    fine = _resolved(light, cover, p, n, v)
     if light.beam != LAMBERTIAN:
         fine = min(fine, light.narrow / math.sqrt(2))
     step = _STEP * fine * _nearest(light, p)
@@ -52,6 +59,25 @@ def nodes_along(light: Wide, cover: Cover, p: Place) -> tuple[int, int]:
     while second * step < around:
         second *= 2
     return first, second
+
+
+@compiled
+def _resolved(light: Wide, cover: Cover, p: Place, n: Place, v: Place) -> float:
+    """Angle over which what a lobe sends to the eye changes much with where light comes from [rad]; 0 at a horizon."""
+    if cover.kind == TURNED_NORMAL:
+        return cover.fine
+    is_cut = may_light(light, p, (-n[0], -n[1], -n[2]))
+    if cover.kind not in (WARD, BRUSHED):
+        return 0.0 if is_cut else cover.fine
+    cosine = min(1.0, n[0] * v[0] + n[1] * v[1] + n[2] * v[2])
+    sine = math.sqrt(max(1 - cosine * cosine, 0.0))
+    rough = math.sqrt(max(cover.a, cover.b) if cover.kind == BRUSHED else cover.a)
+    # The tangent of half the angle between the eye and the horizon beyond the normal is cos/(1 + sin).
+    if is_cut and cosine < _REACH * rough * (1 + sine):
+        return 0.0
+    # A grazing eye sees a lobe whose light comes from a narrow band above the horizon: a direction aside turns the
+    # normal halfway by one over the sum of both cosines, of which that of the light is about as far off as the lobe.
+    return cover.fine * max(cosine - rough * sine, 0.0)
 
 
 @compiled
