@@ -137,11 +137,12 @@ def run_region(arguments: argparse.Namespace) -> int:
         "certified_rms_gray": gauging.certified(arguments.images[0]),
     }
     whole = [0, 0, columns - 1, rows - 1]
+    saturation = None if scene is None else scene.camera.sensor.saturation_gray
     try:
-        first = measure_region(frames, Box(*(box or whole)))
+        first = measure_region(frames, Box(*(box or whole)), saturation=saturation)
         told["region"] = _numbers(asdict(first)) | {"box": box or whole}
         if against is not None:
-            second = _against(frames, against)
+            second = _against(frames, against, saturation)
             told["against"] = _numbers(asdict(second)) | {"box": against}
             contrast = contrast_of(first, second, dark=dark, noise=arguments.noise)
             told["contrast"] = _contrast(contrast, told["certified_rms_gray"])
@@ -160,9 +161,9 @@ def _contrast(contrast: Contrast, error: float | None) -> dict[str, Any]:
     return numbers
 
 
-def _against(frames: list[Any], box: list[int]) -> Any:
+def _against(frames: list[Any], box: list[int], saturation: float | None) -> Any:
     try:
-        return measure_region(frames, Box(*box))
+        return measure_region(frames, Box(*box), saturation=saturation)
     except InputError as error:
         where = "against" if error.where == "region" else error.where
         raise InputError(error.what, where=where, remedy=error.remedy) from error
@@ -185,7 +186,7 @@ def _region_lines(told: dict[str, Any]) -> Iterator[str]:
                 f"{one['pixels']} pixels"
             )
             if one["saturated"]:
-                yield f"  warning: {one['saturated']} pixels are at full scale: mean and sd are too low"
+                yield f"  warning: {one['saturated']} pixels are saturated: mean and sd are too low"
     if "contrast" in told:
         contrast = told["contrast"]
         told_contrast = with_sigma(contrast["michelson"], contrast["michelson_sigma"], 5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -17,6 +17,7 @@ from radwrap.measure.gauges import (
     WAYS,
     Box,
     Circle,
+    Region,
     Width,
     contrast_of,
     measure_circle,
@@ -133,33 +134,47 @@ def _has_regions(scene: Scene, options: Options) -> None:
             region_of(scene, options[name])
 
 
+def _regions(seen: Seen, options: Options, *names: str) -> Callable[[GrayImage], list[Region]]:
+    """Regions by the names of their options, whose pixels are full where the scene's camera is."""
+    saturation = seen.scene.camera.sensor.saturation_gray
+    boxes = [_box(seen, options, name) for name in names]
+    return lambda image: [measure_region(image, box, saturation=saturation) for box in boxes]
+
+
+def _saturated(regions: Sequence[Region], names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(
+        f"{region.saturated} of {region.pixels} pixels of `{name}` are saturated, so its mean is too low"
+        for region, name in zip(regions, names, strict=True)
+        if region.saturated
+    )
+
+
 def _region_mean(seen: Seen, options: Options) -> Answer:
-    box = _box(seen, options)
-    return again(seen, lambda image: measure_region(image, box).mean)
+    regions = _regions(seen, options, "region")
+    answer = again(seen, lambda image: regions(image)[0].mean)
+    return replace(answer, warnings=_saturated(regions(seen.image), ("region",)))
 
 
 def _region_contrast(seen: Seen, options: Options) -> Answer:
-    dark = seen.scene.camera.sensor.dark_gray
-    boxes = [_box(seen, options, name) for name in ("region", "against")]
-
-    def michelson(image: GrayImage) -> float:
-        regions = (measure_region(image, box) for box in boxes)
-        return contrast_of(*regions, dark=dark).michelson
-
-    return again(seen, michelson)
+    dark, names = seen.scene.camera.sensor.dark_gray, ("region", "against")
+    regions = _regions(seen, options, *names)
+    answer = again(seen, lambda image: contrast_of(*regions(image), dark=dark).michelson)
+    return replace(answer, warnings=_saturated(regions(seen.image), names))
 
 
 def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
     """Of one frame: the predicted image has no noise, the sensor's model has."""
     sensor = seen.scene.camera.sensor
-    boxes = [_box(seen, options, name) for name in ("region", "against")]
+    regions_of = _regions(seen, options, "region", "against")
 
     def ratio(image: GrayImage) -> float:
-        regions = [measure_region(image, box) for box in boxes]
+        regions = regions_of(image)
         if any(region.saturated for region in regions):
             raise InputError("is saturated in part, where there is no noise to compare with")
         means = np.array([region.mean for region in regions])
-        variance = float(noise_variance(radiant_exposure_of(means, sensor), without_pattern(sensor)).sum())
+        # Noise may take the mean of a dark region below the dark level, where it is the noise of no light.
+        lit = radiant_exposure_of(np.maximum(means, sensor.dark_gray), sensor)
+        variance = float(noise_variance(lit, without_pattern(sensor)).sum())
         return abs(float(means[0] - means[1])) / math.sqrt(variance)
 
     return again(seen, ratio)

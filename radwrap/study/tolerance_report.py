@@ -28,11 +28,15 @@ def sentences(result: Tolerances) -> Iterator[str]:
             yield f"{who}: no tolerance was found; {seen} at {change.at}."
         else:
             least = "at least " if one.limited else ""
-            yield (f"{who}: {least}{one.direction} {one.tolerance:.3g} {one.unit} about {one.nominal}; {seen}.")
+            own = f" {one.unit}" if one.unit else ""
+            yield f"{who}: {least}{one.direction} {one.tolerance:.3g}{own} about {one.nominal}; {seen}."
     if result.together is not None:
         both = result.together
+        # What is drawn about a fixed level is not drawn there: with it, fewer systems stay within.
+        scatters = ", ".join(one.factor.name for one in result.found if one.kind == "scatter")
+        which = f"All deviations together, without the scatter of {scatters}," if scatters else "All together"
         yield (
-            f"All together at {both.scale:.2g} times these: {both.share:.1%} of random systems stay within by the "
+            f"{which} at {both.scale:.2g} times these: {both.share:.1%} of random systems stay within by the "
             f"model, {both.inside} of {both.systems} fresh ones do"
             + ("." if both.met else ": too few, the scale is not confirmed.")
         )

@@ -193,3 +193,30 @@ def test_a_width_in_doubt_costs_its_response(tmp_path: Path, bright: float, know
     else:
         with pytest.raises(InputError, match="the width is not known: "):
             GAUGES["width"].answer(seen, {"target": "bar"})
+
+
+def two_levels(folder: Path, first: float, second: float) -> Seen:
+    """Left and right halves of an image whose camera is full at 64 + 0.1 * 20 000 = 2064 of 4095 levels."""
+    sensor = LINEAR | {"full_well": "20 ke"}
+    scene = load_scene(write_scene(folder, {"targets": FACING["targets"], "camera.sensor": sensor}))
+    gray = np.repeat([[first, second]], 60, axis=0).repeat(36, axis=1)
+    return Seen(scene, GrayImage(gray, 12), gray, image_error(gray, 0.0, (1.0, 1.0)), error_fields(gray.shape, (1, 1)))
+
+
+HALVES: dict[str, Any] = {"region": [2, 2, 33, 57], "against": [38, 2, 69, 57]}
+
+
+def test_a_region_that_is_full_below_full_scale_is_named(tmp_path: Path) -> None:
+    seen = two_levels(tmp_path, 2064.0, 1000.0)
+    for measure in ("region_mean", "region_contrast"):
+        (warning,) = GAUGES[measure].answer(seen, HALVES).warnings
+        assert "1792 of 1792 pixels of `region` are saturated" in warning
+    with pytest.raises(InputError, match="is saturated in part"):
+        GAUGES["contrast_to_noise"].answer(seen, HALVES)
+    assert not GAUGES["region_contrast"].answer(two_levels(tmp_path, 2063.0, 1000.0), HALVES).warnings
+
+
+def test_a_region_that_noise_takes_below_dark_has_the_noise_of_no_light(tmp_path: Path) -> None:
+    """Of the levels 63.9 and 164: 1000 electrons at 0.1 DN/e, and read noise of 0.5 DN and rounding twice."""
+    answer = GAUGES["contrast_to_noise"].answer(two_levels(tmp_path, 63.9, 164.0), HALVES)
+    assert answer.value == pytest.approx(100.1 / (0.1 * 100 + 2 * (0.25 + 1 / 12)) ** 0.5, rel=1e-6)

@@ -317,6 +317,11 @@ def test_too_few_systems_within_confirm_nothing(design: DesignWriter, inside: in
     assert both is not None and both.inside == inside and both.met is met
     told = Tolerances(study.responses[0], 0.0, 1.0, 0.95, tuple(found), both, (), ())
     assert told.met is met and as_json(told)["together"]["met"] is met
+    # A scatter that is looked at beside them is not among what is drawn: the sentence does not claim it.
+    assert any(line.startswith("All together at ") for line in sentences(told))
+    scatter = replace(found[0], kind="scatter", factor=replace(found[0].factor, name="leds"))
+    lines = list(sentences(replace(told, found=(*found, scatter))))
+    assert any(line.startswith("All deviations together, without the scatter of leds, at ") for line in lines)
 
 
 def test_bounds_are_shares_or_changes_in_the_unit_of_the_response(design: DesignWriter) -> None:

@@ -22,6 +22,7 @@ _SIDE_FOR_NOISE: Final = 5  # px; differences of neighbours show noise from here
 _GROWTH: Final = 6.0  # of the standard deviation in second differences along both axes
 _TOGETHER: Final = (1 + 2 * ((4 / 6) ** 2 + (1 / 6) ** 2)) ** 2  # sum of their squared correlations
 _EDGE: Final = 5.0  # standard deviations
+_ROUNDING: Final = 0.5  # gray level; by so much a rounded level may lie below the saturation that its pixel has reached
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ class Region:
     pixels, frames : int
         How many.
     saturated : int
-        Pixels at full scale, in any frame.
+        Pixels at full scale or at the camera's saturation, in any frame.
     """
 
     mean: float
@@ -119,7 +120,7 @@ class Contrast:
     contrast_to_noise_by_rendering: float
 
 
-def measure_region(frames: GrayImage | Sequence[GrayImage], box: Box) -> Region:
+def measure_region(frames: GrayImage | Sequence[GrayImage], box: Box, *, saturation: float | None = None) -> Region:
     """Measure the gray levels of a rectangle, in one frame or several of the same scene.
 
     Parameters
@@ -128,6 +129,8 @@ def measure_region(frames: GrayImage | Sequence[GrayImage], box: Box) -> Region:
         Of equal size.
     box : Box
         Which pixels.
+    saturation : float, optional
+        Gray level at which the camera saturates, where its full well ends below full scale [gray].
 
     Returns
     -------
@@ -153,6 +156,8 @@ def measure_region(frames: GrayImage | Sequence[GrayImage], box: Box) -> Region:
         raise InputError("frames differ in size or bit depth", where="the image")
     stack = np.stack([box.of(image.values) for image in images])
     full = float(2 ** images[0].bit_depth - 1)
+    if saturation is not None:
+        full = min(full, saturation - _ROUNDING)
     mean = stack.mean(axis=0)
     count = mean.size
     noise, noise_sigma = _noise(stack)
