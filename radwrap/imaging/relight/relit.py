@@ -373,7 +373,8 @@ class Relighter:
 
     def _image(self, mean: NDArray[np.float64], certificate: Certificate) -> Relit:
         sensor = self._basis.sensor
-        values = mean * self._basis.exposure_of_radiance
+        # Below no light by chance, as in `radiant_exposure`.
+        values = np.maximum(mean, 0.0) * self._basis.exposure_of_radiance
         exposure = ExposureImage(values.astype(np.float32).astype(np.float64), {"scene": self._basis.scene_sha256})
         levels = gray_levels(exposure.values, sensor)
         gray = image_of_levels(levels, sensor, exposure.provenance)

@@ -33,7 +33,7 @@ def radiant_exposure(radiance: RadianceImage, camera: Camera) -> ExposureImage:
     Parameters
     ----------
     radiance : RadianceImage
-        Mean over the opening of L cos^4(theta) [W m^-2 sr^-1]; its provenance goes along.
+        Mean over the opening of L cos^4(theta) [W m^-2 sr^-1], below 0 taken for 0; its provenance goes along.
     camera : Camera
         For tau, A and f.
 
@@ -48,7 +48,8 @@ def radiant_exposure(radiance: RadianceImage, camera: Camera) -> ExposureImage:
         If it is too large for a float32.
     """
     with np.errstate(over="ignore"):
-        values = radiance.values * exposure_of_radiance(camera)
+        # Few rays to a light that is half hidden may be below no light by chance, which no sensor sees.
+        values = np.maximum(radiance.values, 0.0) * exposure_of_radiance(camera)
     if not (values <= _LARGEST_FLOAT32).all():
         raise InputError("the radiant exposure overflows", remedy="lower the radiance or the exposure time")
     return ExposureImage(values, radiance.provenance)

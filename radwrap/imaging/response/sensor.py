@@ -17,8 +17,8 @@ def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDA
     Parameters
     ----------
     radiant_exposure : ndarray
-        H [J m^-2]. Estimates of few rays may be below 0, though no image is: the response goes on there as its mirror
-        image, so that their noise shows.
+        H [J m^-2]; below 0 it is an estimate of little light, and the law goes on as far below the dark level, so that
+        replicates still show its noise.
     sensor : Sensor
         Response.
 
@@ -27,11 +27,13 @@ def unclipped_gray(radiant_exposure: NDArray[np.float64], sensor: Sensor) -> NDA
     ndarray
         K H^gamma + G0; infinite where that overflows.
     """
+    gamma = float(sensor.gamma)
     with np.errstate(over="ignore"):  # beyond saturation in any case
         # In place: of a large image most of the time is that of new memory.
-        gray: NDArray[np.float64] = np.abs(radiant_exposure)
-        np.power(gray, float(sensor.gamma), out=gray)
-        np.copysign(gray, radiant_exposure, out=gray)
+        if gamma == 1.0 or not np.any(np.less(radiant_exposure, 0.0)):
+            gray: NDArray[np.float64] = np.asarray(np.power(radiant_exposure, gamma))
+        else:
+            gray = np.asarray(np.copysign(np.abs(radiant_exposure) ** gamma, radiant_exposure))
         gray *= sensor.gain
         gray += sensor.dark_gray
     return gray
