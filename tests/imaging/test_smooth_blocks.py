@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("numba")
 
+import radwrap
+from radwrap import Caliper, GrayImage
 from radwrap.imaging.methods.central import CentralImage
 from radwrap.imaging.methods.kernel import gather, plan_kernel
 from radwrap.imaging.methods.smooth_blocks import in_other_light, smooth_field
@@ -164,3 +166,38 @@ def test_hard_edges_that_are_left_whole_stand_in_the_certificate() -> None:
         within.append(rms(true_errors(scene, made, pixels, 64)) / made.manifest["error"]["rms_gray_upper95"])
     assert max(within) < 1.0
     assert min(within) > 0.3  # and it is not a bound for safety's sake
+
+
+@pytest.mark.long
+def test_a_circle_lies_where_it_lies_whatever_the_seed() -> None:
+    """By a linear camera at its default tolerance: rays move the gauge by less than a third of a frame's noise.
+
+    So much is two standard deviations of what was drawn.
+    """
+    pixels, gain, dark = 192, 0.025, 5.0
+    sensor = {
+        "model": "linear",
+        "rows": pixels,
+        "columns": pixels,
+        "pixel_width": "10 um",
+        "pixel_height": "10 um",
+        "bit_depth": 8,
+        "wavelength": "630 nm",
+        "quantum_efficiency": 0.6,
+        "system_gain": f"{gain} DN/e",
+        "offset": dark,
+        "full_well": "10000 e",
+        "read_noise": "6 e",
+    }
+    peg = {"type": "cylinder", "name": "peg", "material": "dark", "diameter": "24 mm", "length": "1 mm"}
+    camera = {**LENS, "exposure_time": "1.6 ms", "sensor": sensor}
+    scene = scene_of({**peg, "position": at(0, 0, 0.5), "rotation": ["0 deg", "0 deg", "0 deg"]}, camera=camera)
+    caliper = Caliper(((pixels - 1) / 2, (pixels - 1) / 2), 63.5, 5.0)
+    found = []
+    for seed in range(6):
+        made = radwrap.render(scene, tracer="compiled", seed=seed)
+        seen = radwrap.measure_circle(GrayImage(made.electrons * gain + dark), caliper)  # neither noise nor rounding
+        found.append((seen.diameter, *seen.centre))
+    frames = [radwrap.measure_circle(frame, caliper) for frame in made.frames(4, seed=1)]
+    sigmas = np.mean([(one.diameter_sigma, *one.centre_sigma) for one in frames], axis=0)
+    assert (np.std(found, axis=0, ddof=1) < sigmas / 6).all()

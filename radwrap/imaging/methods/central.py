@@ -31,7 +31,11 @@ _LARGEST_HEIGHT: Final = 1e100  # gray level; its square does not overflow, what
 _LARGEST_KEPT: Final = 1e38  # gray level, of a number of 4 byte
 # Variance of the mean over n x n strata of a cell that an edge of height d crosses is about d^2/(4 n^3): about 1.5 n
 # strata are crossed, each with the variance d^2/6. Of the cells beside an edge about every third is crossed.
-_EDGE_VARIANCE: Final = 12.0
+_CROSSED_VARIANCE: Final = 4.0
+_EDGE_VARIANCE: Final = 3 * _CROSSED_VARIANCE
+# The same of a cell with one ray, wherever in it the edge lies: d^2/6. Heights up to some limit that are all alike
+# frequent have a third of the limit's square on the average.
+_UNCUT_VARIANCE: Final = 18.0
 # Where all that a pixel gathers from lies by so much of the range above saturation, the pixel stays saturated whatever
 # a finer look would find there.
 _SURELY_SATURATED: Final = 0.1
@@ -174,10 +178,10 @@ def decide_cells(
     spread = _spread_that_counts(plan, values, plan.cell)
     cut.append(spread > max(least, _least_cut(plan, spread, plan.cell)))
     cut = [_within(mask, 2**level) for level, mask in enumerate(cut)]
-    heights = _within(spread, step)[cut[-1]]
-    samples, predicted = _samples_needed(plan, heights, cut[-1].size)
-    kept = np.minimum(heights, _LARGEST_KEPT).astype(np.float32)
-    return Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays, kept)
+    heights = np.minimum(_within(spread, step)[cut[-1]], _LARGEST_KEPT).astype(np.float32)
+    samples, predicted = _samples_needed(plan, heights.astype(np.float64), cut[-1].size)
+    found = Cells((first[0], first[1]), _levels(cut), samples, predicted, sampler.rays, heights)
+    return found.with_rays(plan.levels, _edges_alone(plan, heights, samples)) if plan.edges else found
 
 
 def _within(values: NDArray[_T], rim: int) -> NDArray[_T]:
@@ -190,11 +194,14 @@ def _least_cut(plan: GridPlan, spread: NDArray[np.float64], size: float) -> floa
     each = plan.threshold(size)
     if plan.smooth is None:
         return each
+    most = math.inf
+    if plan.edges:
+        most = max(each, math.sqrt(_UNCUT_VARIANCE) * plan.aim * max(1.0, math.sqrt(plan.area) / size) ** 1.5)
     # Where few cells differ much, they may be left although each is off by more than the aim: the rms is what counts.
     some = np.sort(spread.ravel()[:: -(-spread.size // _LOOKED_AT)])
     may_be = (_LEFT_SHARE / (plan.levels + 1)) * plan.aim**2 * 12 * max(1.0, plan.area / size**2) * len(some)
     place = int(np.searchsorted(np.cumsum(np.minimum(some, _LARGEST_HEIGHT) ** 2), may_be, side="right"))
-    return max(each, float(some[place - 1]) if place else 0.0)
+    return min(max(each, float(some[place - 1]) if place else 0.0), most)
 
 
 def _levels(cut: list[NDArray[np.bool_]]) -> NDArray[np.int8]:
@@ -436,6 +443,24 @@ def _samples_needed(plan: GridPlan, heights: NDArray[np.float64], cells: int) ->
     return SUB_SAMPLES[-1], rms[-1]
 
 
+def _edges_alone(plan: GridPlan, heights: NDArray[np.float32], samples: int) -> EdgeSampling:
+    """Rays by which pixels that edges go through meet the aim by themselves: `samples` or more, or one.
+
+    A place or a length averages a frame's noise over the pixels of an edge, and what these are off likewise. So errors
+    that are small beside the noise on the average of an image, but gather at its edges, move it by more than a frame
+    shows. High edges are what is measured: they count by their squares.
+    """
+    # Of the cells that an edge crosses in a pixel each is 1/across^2 of it.
+    across = math.sqrt(plan.area) / plan.cell
+    squares = _squares(plan, heights.astype(np.float64)) / (_CROSSED_VARIANCE * plan.aim**2 * across**3)
+    high = squares > 1
+    if not high.any():
+        return EdgeSampling(samples, 0.0)
+    typical = float(squares[high] @ (squares[high] / squares[high].sum()))
+    n = min(max(samples, math.ceil(typical ** (1 / 3))), SUB_SAMPLES[-1])
+    return EdgeSampling(n, float(heights[~high].max(initial=0.0)) if samples == 1 else 0.0)
+
+
 def _energies(plan: GridPlan, heights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sums, over all pixels that gather from it, of the squared errors that a ray in each cell of a height makes.
 
@@ -443,7 +468,12 @@ def _energies(plan: GridPlan, heights: NDArray[np.float64]) -> NDArray[np.float6
     """
     # Sum over pixels of their squared weights of a cell, over the number of pixels: cell^2 is pixels a cell.
     share = (plan.cell**2 / plan.area) ** 2 * plan.area / plan.cell**2
+    return _squares(plan, heights) * (share / _EDGE_VARIANCE)
+
+
+def _squares(plan: GridPlan, heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squares of heights of edges, as far as pixels show them [gray level^2]."""
     # Beside an edge higher than the range a pixel is saturated but for that share of the edge's places.
     heights = np.minimum(heights, _LARGEST_HEIGHT)
     squares: NDArray[np.float64] = heights * np.minimum(heights, plan.sensor.saturation_gray - plan.sensor.dark_gray)
-    return squares * (share / _EDGE_VARIANCE)
+    return squares

@@ -47,6 +47,8 @@ class GridPlan:
         True where each grid cell gets one ray whatever is seen there: no light decides where rays go.
     smooth : str, optional
         Hash of the view's smooth blocks, where no rays go; see `smooth.SmoothField`.
+    edges : bool, optional
+        True where pixels that edges go through meet the aim by themselves, as what is measured in a frame needs.
     halvings : int, optional
         How often the points of wide lights are halved of a ray that a pixel has for itself; see `noise.NoisyTracer`.
     """
@@ -60,6 +62,7 @@ class GridPlan:
     with_depth: bool
     even: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
     smooth: str | None = field(default=None, metadata=ONLY_WHERE_USED)
+    edges: bool | None = field(default=None, metadata=ONLY_WHERE_USED)
     halvings: int | None = field(default=None, metadata=ONLY_WHERE_USED)
 
     @property

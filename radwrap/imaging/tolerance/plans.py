@@ -177,7 +177,9 @@ class Plans:
         met = met_by(self.view, self.found.magnification)
         plan = plan_kernel(self.view, middle_of(met) if self.one_layer else met, aim, self.finer)
         halvings = halvings_for(self._points_square, POINTS_SHARE * aim**2)
-        return plan if halvings is None else replace(plan, grid=replace(plan.grid, halvings=halvings))
+        # Of a power law's frame no noise is known that a length would have to be held against.
+        edges = None if self.view.camera.sensor.linear is None else True
+        return replace(plan, grid=replace(plan.grid, halvings=halvings, edges=edges))
 
     def _hybrid(self, kernel: KernelPlan, aim: float) -> HybridPlan:
         risk = RISK_SHARE * self.demand.tolerance
