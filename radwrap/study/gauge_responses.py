@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radwrap.errors import InputError
 from radwrap.images import GrayImage
@@ -42,8 +43,10 @@ from radwrap.study.placed_calipers import (
     width_caliper,
 )
 from radwrap.study.response_kind import BOX, Kind, Options
-from radwrap.study.seen import Answer, Seen, again, again_with_warnings
+from radwrap.study.seen import Answer, Seen, again, again_with_warnings, spread, tried
 from radwrap.units import LENGTH
+
+Array = NDArray[np.float64]
 
 
 def _diameter(seen: Seen, options: Options, true: float = 0.0) -> Answer:
@@ -163,12 +166,16 @@ def _region_contrast(seen: Seen, options: Options) -> Answer:
 
 
 def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
-    """Of one frame: the predicted image has no noise, the sensor's model has."""
+    """Of one frame: the predicted image has no noise, the sensor's model has.
+
+    Levels are those before rounding: in a frame its noise comes before the converter, and a region's mean is then no
+    whole level.
+    """
     sensor = seen.scene.camera.sensor
     regions_of = _regions(seen, options, "region", "against")
 
-    def ratio(image: GrayImage) -> float:
-        regions = regions_of(image)
+    def ratio(gray: Array) -> float:
+        regions = regions_of(GrayImage(gray, seen.image.bit_depth))
         if any(region.saturated for region in regions):
             raise InputError("is saturated in part, where there is no noise to compare with")
         means = np.array([region.mean for region in regions])
@@ -177,7 +184,7 @@ def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
         variance = float(noise_variance(lit, without_pattern(sensor)).sum())
         return abs(float(means[0] - means[1])) / math.sqrt(variance)
 
-    return again(seen, ratio)
+    return spread(ratio(seen.gray), [(copy.cause, tried(ratio, copy.gray)) for copy in seen.changed()])
 
 
 def _is_linear(scene: Scene, options: Options) -> None:

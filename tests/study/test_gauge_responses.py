@@ -200,7 +200,8 @@ def two_levels(folder: Path, first: float, second: float) -> Seen:
     sensor = LINEAR | {"full_well": "20 ke"}
     scene = load_scene(write_scene(folder, {"targets": FACING["targets"], "camera.sensor": sensor}))
     gray = np.repeat([[first, second]], 60, axis=0).repeat(36, axis=1)
-    return Seen(scene, GrayImage(gray, 12), gray, image_error(gray, 0.0, (1.0, 1.0)), error_fields(gray.shape, (1, 1)))
+    error = image_error(gray, 0.0, (1.0, 1.0))
+    return Seen(scene, GrayImage(np.rint(gray), 12), gray, error, error_fields(gray.shape, (1.0, 1.0)))
 
 
 HALVES: dict[str, Any] = {"region": [2, 2, 33, 57], "against": [38, 2, 69, 57]}
@@ -220,3 +221,9 @@ def test_a_region_that_noise_takes_below_dark_has_the_noise_of_no_light(tmp_path
     """Of the levels 63.9 and 164: 1000 electrons at 0.1 DN/e, and read noise of 0.5 DN and rounding twice."""
     answer = GAUGES["contrast_to_noise"].answer(two_levels(tmp_path, 63.9, 164.0), HALVES)
     assert answer.value == pytest.approx(100.1 / (0.1 * 100 + 2 * (0.25 + 1 / 12)) ** 0.5, rel=1e-6)
+
+
+def test_contrast_to_noise_does_not_step_with_whole_levels(tmp_path: Path) -> None:
+    """Levels 164.4 and 164.1 are both shown as 164; frames whose noise is 3 levels have the means of the light."""
+    answer = GAUGES["contrast_to_noise"].answer(two_levels(tmp_path, 164.4, 164.1), HALVES)
+    assert answer.value == pytest.approx(0.3 / (0.1 * (100.4 + 100.1) + 2 * (0.25 + 1 / 12)) ** 0.5, rel=1e-6)
