@@ -141,14 +141,14 @@ def test_corrections_are_unbiased(number: int, rays: int) -> None:
     signed = signed_numbers(plan, found, len(found.due)).reshape(2, -1)
     assert (signed != 0).any() and (signed == 0).any()
     values = np.stack([corrections(seen, plan, 0, signed, seed=(2, k), progress=lambda _: None) for k in range(number)])
-    by_rays = signed > 0
-    truth = np.where(by_rays, exact(seen), exact(seen) - _model(seen, plan, rays))
+    by_rays, model = signed > 0, _model(seen, plan, rays)
+    truth = np.where(by_rays, exact(seen), exact(seen) - model)
     _, of_pairs = found.spread.reshape(2, 2, -1)
     expected = np.where(by_rays, 0.0, of_pairs / np.sqrt(np.maximum(np.abs(signed), 1)))
     deviation = np.maximum(values.std(axis=0, ddof=1), expected)[signed != 0] / math.sqrt(number)
     allowed = 5 * deviation + 2e-3  # cos^4, and the model's own noise
     assert (np.abs(values.mean(axis=0) - truth)[signed != 0] < allowed).all()
-    without = np.where(by_rays, _model(seen, plan, rays), 0.0)  # what the kernel gives
+    without = np.where(by_rays, model, 0.0)  # what the kernel gives
     assert (np.abs(without - truth)[signed != 0] > 2 * allowed).mean() > 0.2
 
 
