@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -137,32 +137,40 @@ def _has_regions(scene: Scene, options: Options) -> None:
             region_of(scene, options[name])
 
 
-def _regions(seen: Seen, options: Options, *names: str) -> Callable[[GrayImage], list[Region]]:
-    """Regions by the names of their options, whose pixels are full where the scene's camera is."""
+@dataclass(frozen=True, slots=True)
+class _Regions:
+    """Regions of an image by the names of their options."""
+
+    by_name: Mapping[str, Region]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Of which of them the mean is too low."""
+        return tuple(
+            f"{region.saturated} of {region.pixels} pixels of `{name}` are saturated, so its mean is too low"
+            for name, region in self.by_name.items()
+            if region.saturated
+        )
+
+
+def _regions(seen: Seen, options: Options, *names: str) -> Callable[[GrayImage], _Regions]:
+    """Finds regions, whose pixels are full where the scene's camera is."""
     saturation = seen.scene.camera.sensor.saturation_gray
-    boxes = [_box(seen, options, name) for name in names]
-    return lambda image: [measure_region(image, box, saturation=saturation) for box in boxes]
-
-
-def _saturated(regions: Sequence[Region], names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(
-        f"{region.saturated} of {region.pixels} pixels of `{name}` are saturated, so its mean is too low"
-        for region, name in zip(regions, names, strict=True)
-        if region.saturated
+    boxes = {name: _box(seen, options, name) for name in names}
+    return lambda image: _Regions(
+        {name: measure_region(image, box, saturation=saturation) for name, box in boxes.items()}
     )
 
 
 def _region_mean(seen: Seen, options: Options) -> Answer:
-    regions = _regions(seen, options, "region")
-    answer = again(seen, lambda image: regions(image)[0].mean)
-    return replace(answer, warnings=_saturated(regions(seen.image), ("region",)))
+    return again_with_warnings(seen, _regions(seen, options, "region"), lambda found: found.by_name["region"].mean)
 
 
 def _region_contrast(seen: Seen, options: Options) -> Answer:
-    dark, names = seen.scene.camera.sensor.dark_gray, ("region", "against")
-    regions = _regions(seen, options, *names)
-    answer = again(seen, lambda image: contrast_of(*regions(image), dark=dark).michelson)
-    return replace(answer, warnings=_saturated(regions(seen.image), names))
+    def michelson(found: _Regions) -> float:
+        return contrast_of(*found.by_name.values(), dark=seen.scene.camera.sensor.dark_gray).michelson
+
+    return again_with_warnings(seen, _regions(seen, options, "region", "against"), michelson)
 
 
 def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
@@ -175,7 +183,7 @@ def _contrast_to_noise(seen: Seen, options: Options) -> Answer:
     regions_of = _regions(seen, options, "region", "against")
 
     def ratio(gray: Array) -> float:
-        regions = regions_of(GrayImage(gray, seen.image.bit_depth))
+        regions = regions_of(GrayImage(gray, seen.image.bit_depth)).by_name.values()
         if any(region.saturated for region in regions):
             raise InputError("is saturated in part, where there is no noise to compare with")
         means = np.array([region.mean for region in regions])
