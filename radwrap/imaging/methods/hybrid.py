@@ -164,7 +164,8 @@ def pilot(
     every = np.zeros((6, (r1 - r0) * (c1 - c0)), dtype=np.float32)
     if not pixels.size:
         return needs_of_rows(every), rays
-    random, pooled = generator(*seed), partial(_pooled, near, pixels)
+    random, around = generator(*seed), partial(_summed, near, pixels)
+    count = around(np.ones(len(pixels)))
 
     def traced(some: NDArray[np.intp], number: int) -> tuple[Array, Array]:
         """Values and differences of so many pairs of each pixel, shape (pixels, number)."""
@@ -177,13 +178,13 @@ def pilot(
 
     first = traced(pixels, FIRST_PAIRS)
     alone = of_pairs(plan, *first)
-    quiet = np.flatnonzero(_summed(near, pixels, alone.differing) < _ENOUGH)
+    quiet = np.flatnonzero(around(alone.differing) < _ENOUGH)
     if quiet.size:
         rest = traced(pixels[quiet], PAIRS - FIRST_PAIRS)
         both = (np.concatenate([one[quiet], more], axis=1) for one, more in zip(first, rest, strict=True))
         alone = alone.at(quiet, of_pairs(plan, *both))
     # Whether a file was read or just written, the numbers are those that it holds.
-    every[:, pixels] = alone.needs(plan, pooled).as_rows()
+    every[:, pixels] = alone.needs(plan, lambda each: np.sqrt(around(each**2) / count)).as_rows()
     pairs = len(pixels) * FIRST_PAIRS + len(quiet) * (PAIRS - FIRST_PAIRS)
     return needs_of_rows(every), rays + pairs * plan.pair_rays
 
@@ -457,11 +458,6 @@ def _error_of_rays(deviation: Array, number: int) -> Array:
     return error
 
 
-def _pooled(near: NDArray[np.bool_], pixels: NDArray[np.intp], each: Array) -> Array:
-    """Root mean square over each pixel and those around it that have a value."""
-    return np.asarray(np.sqrt(_summed(near, pixels, each**2) / _summed(near, pixels, np.ones(len(pixels)))))
-
-
 def _summed(near: NDArray[np.bool_], pixels: NDArray[np.intp], each: Array) -> Array:
     """Sum over each pixel and those around it that have a value."""
     framed = np.zeros(tuple(size + 2 * _AROUND for size in near.shape))
@@ -472,7 +468,10 @@ def _summed(near: NDArray[np.bool_], pixels: NDArray[np.intp], each: Array) -> A
 
 
 def _around(framed: Array) -> Array:
-    """Sum over each value and those around it; the frame's values have none."""
+    """Sum over each value and those around it; the frame's values have none.
+
+    Each by itself, and not as `around.sum_around` does: beside a glint cumulated sums would lose small squares.
+    """
     width = 2 * _AROUND + 1
     for axis in (0, 1):
         framed = np.lib.stride_tricks.sliding_window_view(framed, width, axis=axis).sum(axis=-1)
