@@ -845,14 +845,14 @@ def test_what_a_gaussian_would_make_of_a_width() -> None:
 
 def stripe_frames(width: float, blur: float, bright: float, number: int) -> Iterator[GrayImage]:
     light = stripe_picture((60, 80), 0.3, 42.0, width, blur=blur, levels=(30.0, bright))
-    dice = np.random.default_rng(2)
+    dice = np.random.default_rng(7)
     return (GrayImage(noisy(light, dice)) for _ in range(number))
 
 
 @pytest.mark.long
 def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
     caliper = StraightCaliper(MIDDLE, 0.3, 24, 14)
-    faint = list(stripe_frames(7.4, 3.3, 90.0, 3))
+    faint = list(stripe_frames(7.4, 3.3, 80.0, 3))
     for image in faint:
         line = measure_line(image, caliper, stripe=True)
         assert (line.width, line.width_sigma, line.width_by_rendering) == (None, None, None)
@@ -871,6 +871,31 @@ def test_a_stripe_that_looks_like_another_has_no_width_but_a_middle() -> None:
     for image in stripe_frames(7.4, 3.3, 220.0, 3):
         line = measure_line(image, caliper, stripe=True)
         assert line.width is not None and abs(line.width - 7.4) < 5 * (line.width_sigma or 0) < 0.2
+
+
+@pytest.mark.long
+def test_a_stripe_is_not_taken_for_one_with_less_than_no_light() -> None:
+    """34 of 127 gray levels over 4.08 px are -24 over 2.5 px: no light is. With 80 more under both, it may be."""
+    caliper, dice = StraightCaliper(MIDDLE, 0.3, 24, 14), np.random.default_rng(2)
+    light = stripe_picture((60, 80), 0.3, 42.0, 4.08, blur=1.57, levels=(127.0, 34.0))
+    for _ in range(4):
+        values = noisy(light, dice)
+        line = measure_line(GrayImage(values), caliper, stripe=True)
+        assert line.width is not None and abs(line.width - 4.08) < 4 * (line.width_sigma or 0) < 0.15
+        assert measure_line(GrayImage(values + 80), caliper, stripe=True).width is None
+        assert measure_line(GrayImage(values + 80), caliper, stripe=True, response=Response(80.0)).width is not None
+
+
+@pytest.mark.long
+def test_a_black_stripe_has_its_width_though_noise_makes_it_darker() -> None:
+    """Light between the rims is none: half of the fits have a little less, and none is taken for a wider stripe."""
+    caliper, dice = StraightCaliper(MIDDLE, 0.3, 24, 14), np.random.default_rng(2)
+    light = stripe_picture((60, 80), 0.3, 42.0, 4.6, blur=1.4, levels=(127.0, 0.0))
+    noise = np.sqrt(light * 0.04 + 0.36)
+    for _ in range(6):
+        image = GrayImage(np.rint(light + 10 + noise * dice.standard_normal(light.shape)))
+        line = measure_line(image, caliper, stripe=True, response=Response(10.0))
+        assert line.width is not None and abs(line.width - 4.6) < 4 * (line.width_sigma or 0) < 0.15
 
 
 def test_light_that_changes_across_a_stripe_is_no_second_edge() -> None:
@@ -1037,7 +1062,7 @@ def test_a_width_in_a_plane_that_faces_the_camera_is_that_in_pixels() -> None:
     """A stripe of the faint kind has no width by either, the same place, and readings of the same size."""
     plane = Plane.of_homography(np.diag([1e4, 1e4, 1.0]))
     caliper = StraightCaliper(MIDDLE, 0.3, 24, 14)
-    (faint,), (clear,) = stripe_frames(7.4, 3.3, 90.0, 1), stripe_frames(7.4, 3.3, 220.0, 1)
+    (faint,), (clear,) = stripe_frames(7.4, 3.3, 80.0, 1), stripe_frames(7.4, 3.3, 220.0, 1)
     here, there = measure_width(faint, caliper), measure_width(faint, caliper, plane=plane)
     assert (there.width, there.width_sigma, there.width_by_rendering) == (None, None, None) and there.unit == "m"
     assert "the width is not known" in there.warnings[-1]

@@ -5,7 +5,10 @@ variance V = w^2/12 + b^2/4 is seen well. Its fourth cumulant is -(w^4/120 + b^4
 -(1.2 x^2 + (V - x)^2): the same for x and for V/1.1 - x. So a second pair of width and blur looks much alike, where
 V/1.1 > x, and where both pairs come close the light hardly depends on x at all: a standard error by the slopes there is
 wrong. Hence the width's likelihood is followed, as far as five standard errors, and the second pair is held against the
-same pixels.
+same pixels: where it is at least a thousandth as likely, the width is not known.
+
+Contrast times width is the same for both pairs. So the narrower one of a dark thing is darker still, and may ask for
+less than no light between the rims, which nothing sends. Such a pair is held at the width where light is just none.
 """
 
 from __future__ import annotations
@@ -25,6 +28,13 @@ from radwrap.measure.gauges.strip import NARROWEST, ROUGH, Blur, State, Strip, a
 Array = NDArray[np.float64]
 
 EXCLUDED: Final = 25.0  # variances: what fits worse by five standard errors is out
+# Variances: another fit that is 1000 times less likely leaves no doubt. From there to EXCLUDED the mean odds are 1 in
+# 5000, and about one in 20 narrow stripes lies there.
+IN_DOUBT: Final = 13.8
+_NO_LIGHT: Final = -0.02  # of the contrast; a gray level without light is given to some percent of it
+_DARK_SIGMAS: Final = 5.0  # standard errors of the width, by which light between may lie below that
+_LIT_STEPS: Final = 4  # towards the width where light is just none
+_LIT_CLOSE: Final = 0.002  # of the contrast, how closely it is met
 _TRIES: Final = 3  # of a better fit
 _BETTER: Final = 0.5  # variances, by which another fit must be better to be followed
 _FAR: Final = 2.5  # standard errors by the slopes
@@ -69,7 +79,7 @@ class NarrowFit:
     fit : Contour
         Whose last parameter is the width; its covariance holds the whole likelihood of the width.
     other : Trial or None
-        That is not excluded: the width is then not known.
+        That is in doubt: the width is then not known.
     """
 
     fit: Contour
@@ -167,24 +177,58 @@ def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Cont
         if alike is None:
             return NarrowFit(fit)
         best = _best(shape, fit.strip, fit.parameters, fit.blur)
-        nodes = _nodes(shape, fit, best)
         second = _best(shape, fit.strip, np.append(fit.parameters[:-1], alike[0]), alike[1])
+        # Of a thing that sends none, noise makes a little less.
+        here, noise = _light_between(best), _DARK_SIGMAS * math.sqrt(fit.covariance[-1, -1]) / width
+        out = second.cost - best.cost > EXCLUDED * fit.noise
+        if here < _NO_LIGHT - noise and _light_between(second) >= _NO_LIGHT and not out and number < _TRIES - 1:
+            shape, blur = replace(shape, start=second.parameters), second.blur.radius
+            continue
+        least = min(_NO_LIGHT, here - noise)
+        nodes = _nodes(shape, fit, best, least)
         there = Trial(float(second.parameters[-1]), second.blur.radius, (second.cost - best.cost) / fit.noise)
+        there = _lit(shape, fit, best, (there, second), least)
         better = min([*nodes, there], key=lambda node: node.rise)
         # Beside another radius the shares of discs differ a little: what is better within the error is no other one.
         close = abs(better.width - width) < max(ROUGH, math.sqrt(fit.covariance[-1, -1]))
         if better.rise > -_BETTER or (close and number == _TRIES - 1):
-            seen = nodes[0].width <= there.width <= nodes[-1].width
+            seen = nodes[0].width - ROUGH <= there.width <= nodes[-1].width + ROUGH
             # Of two that are one within its error neither is in doubt.
             same = abs(there.width - width) < math.sqrt(fit.covariance[-1, -1])
-            other = None if seen or same or there.rise > EXCLUDED else there
+            other = None if seen or same or there.rise > IN_DOUBT else there
             return NarrowFit(_spread_out(shape, fit, best, nodes), other)
         shape, blur = replace(shape, start=np.append(fit.parameters[:-1], better.width)), better.blur
     # Of other pixels another one is better, again and again.
     return NarrowFit(fit, better)
 
 
-def _nodes(shape: Shape, fit: Contour, best: State) -> list[Trial]:
+def _levels(state: State) -> tuple[float, float]:
+    """Mean light outside of two rims, and between them."""
+    outside = state.terms.wide @ state.terms.parts(state.levels)[0]
+    between = outside + state.terms.slow @ state.terms.parts(state.levels)[1]
+    return float(outside.mean()), float(between.mean())
+
+
+def _light_between(state: State) -> float:
+    """Over the contrast."""
+    outside, between = _levels(state)
+    return between / max(abs(between - outside), 1e-300)
+
+
+def _lit(shape: Shape, fit: Contour, best: State, found: tuple[Trial, State], least: float) -> Trial:
+    """A reading; of one that has less light between its rims the nearest that has the least, over the contrast."""
+    trial, state = found
+    for _ in range(_LIT_STEPS):
+        outside, between = _levels(state)
+        if trial.rise > EXCLUDED or _light_between(state) >= least - _LIT_CLOSE or outside <= 0:
+            break
+        # What is missing between the rims stays as it is: contrast times width.
+        width = trial.width * (outside - between) * (1 + least) / outside
+        trial, state = _at(shape, fit, best, width, state.parameters[: len(fit.parameters) - 1])
+    return trial
+
+
+def _nodes(shape: Shape, fit: Contour, best: State, least: float) -> list[Trial]:
     """Widths in order, of which the first and the last are out, or the best one and one far off on either side."""
     middle = Trial(float(fit.parameters[-1]), fit.blur, 0.0)
     far = _FAR * math.sqrt(fit.covariance[-1, -1])
@@ -192,12 +236,12 @@ def _nodes(shape: Shape, fit: Contour, best: State) -> list[Trial]:
         ends = [_at(shape, fit, best, middle.width + side * far, fit.parameters[:-1])[0] for side in (-1, 1)]
         if all(abs(end.rise / _FAR**2 - 1) < _SQUARE for end in ends):
             return [ends[0], middle, ends[1]]
-    walks = [_walk(shape, fit, best, side) for side in (-1.0, 1.0)]
+    walks = [_walk(shape, fit, best, side, least) for side in (-1.0, 1.0)]
     return [*reversed(walks[0]), middle, *walks[1]]
 
 
-def _walk(shape: Shape, fit: Contour, best: State, side: float) -> list[Trial]:
-    """Widths to one side, until one is out."""
+def _walk(shape: Shape, fit: Contour, best: State, side: float, least: float) -> list[Trial]:
+    """Widths to one side, until one is out, or has the least light between the rims, over the contrast."""
     middle = float(fit.parameters[-1])
     longest = _LONGEST * middle
     step = min(math.sqrt(fit.covariance[-1, -1]), longest)
@@ -208,25 +252,26 @@ def _walk(shape: Shape, fit: Contour, best: State, side: float) -> list[Trial]:
         there = width + side * step
         if not NARROWEST < there < most:
             break
-        node, moved = _at(shape, fit, best, there, parameters)
+        node, state = _at(shape, fit, best, there, parameters)
         if node.rise - before > _LARGE_RISE and step > 1e-3 * longest:
             step /= 2
             continue
-        found.append(node)
-        if node.rise > EXCLUDED:
+        dark = _light_between(state) < least
+        found.append(_lit(shape, fit, best, (node, state), least) if dark else node)
+        if dark or node.rise > EXCLUDED:
             break
         if node.rise - before < _SMALL_RISE:
             step = min(2 * step, longest)
-        width, before, parameters = there, node.rise, moved
+        width, before, parameters = there, node.rise, state.parameters
     return found
 
 
-def _at(shape: Shape, fit: Contour, best: State, width: float, parameters: Array) -> tuple[Trial, Array]:
-    """The best fit of a width, and its other parameters."""
+def _at(shape: Shape, fit: Contour, best: State, width: float, parameters: Array) -> tuple[Trial, State]:
+    """The best fit of a width."""
     # Of the same variance across the rims.
     blur = math.sqrt(max(fit.blur**2 + (fit.parameters[-1] ** 2 - width**2) / 3, NARROWEST**2))
     state = _best(_of_width(shape, width), fit.strip, parameters, blur)
-    return Trial(width, state.blur.radius, (state.cost - best.cost) / fit.noise), state.parameters
+    return Trial(width, state.blur.radius, (state.cost - best.cost) / fit.noise), state
 
 
 def _best(shape: Shape, strip: Strip, parameters: Array, blur: float) -> State:
