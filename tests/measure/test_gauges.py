@@ -886,6 +886,14 @@ def test_a_stripe_is_not_taken_for_one_with_less_than_no_light() -> None:
         assert measure_line(GrayImage(values + 80), caliper, stripe=True, response=Response(80.0)).width is not None
 
 
+def test_what_no_pixel_determines_is_warned_of() -> None:
+    """Two columns are bright, without blur or noise: many widths look the same. It was 1.865 +- .000 px in silence."""
+    u = np.indices((80, 80))[1]
+    image = GrayImage((40 + 160.0 * ((u == 40) | (u == 41))) * 257, 16)
+    found = measure_width(image, StraightCaliper((40.0, 40.0), 0.0, 20, 34))
+    assert found.width is None or any("the standard errors say nothing" in text for text in found.warnings)
+
+
 @pytest.mark.long
 def test_a_black_stripe_has_its_width_though_noise_makes_it_darker() -> None:
     """Light between the rims is none: half of the fits have a little less, and none is taken for a wider stripe."""

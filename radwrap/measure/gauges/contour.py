@@ -49,6 +49,7 @@ from radwrap.measure.gauges.strip import (
     moved_light,
     solved,
     terms_of,
+    undetermined,
 )
 
 Array = NDArray[np.float64]
@@ -74,6 +75,10 @@ _CELL: Final = 16  # px
 _CELL_SLACK: Final = 1.5  # distances from an ellipse are right near it only
 _FAINTEST: Final = 0.3  # standard deviations of a pixel; the best contour in noise reaches half of that
 _ABOVE: Final = 0.1  # of the contrast, by which a fitted level may lie above the brightest pixel
+_UNDETERMINED: Final = (
+    "the pixels look the same with another place or size, blur and levels: the standard errors say nothing; "
+    "turn the object against the pixels, or blur it"
+)
 _STEEP: Final = 0.15  # of the contrast, by which light may change across a pixel
 
 
@@ -345,10 +350,11 @@ def _told(
         left_out=left_out,
         misfit=misfit,
         beyond_disc=_beyond_disc(disc, state, float(noise.mean())),
-        warnings=tuple(
-            _warnings(
+        warnings=(
+            *_warnings(
                 strip, disc, state, misfit if significant else 0.0, sided=sided, second=second, rounded=is_whole(light)
-            )
+            ),
+            *((_UNDETERMINED,) if undetermined(shape, strip, state) else ()),
         ),
     )
 

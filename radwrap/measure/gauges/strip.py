@@ -23,6 +23,8 @@ _HARMONICS: Final = 2
 _STEPS: Final = 12  # of Gauss and Newton
 DONE: Final = 1e-6  # px; a smaller step is the last
 ROUGH: Final = 1e-3  # px; enough to tell which pixels belong to something else
+_DEPENDENT: Final = 1e-9  # of the largest: what is less is rounding
+_UNSEEN: Final = 0.05  # of a way of length 1 that no pixel sees
 _SHARES: Final = (1.0, 0.5, 0.25, 0.1)  # of a step, where a whole one makes it worse
 
 
@@ -277,7 +279,19 @@ def influence_of(shape: Shape, strip: Strip, state: State) -> Array:
     jacobian = jacobian_of(shape, strip, state)
     norms = np.linalg.norm(jacobian, axis=0)
     norms[norms == 0] = 1.0
-    return np.asarray(np.linalg.pinv(jacobian / norms, rcond=1e-9) / norms[:, None])
+    return np.asarray(np.linalg.pinv(jacobian / norms, rcond=_DEPENDENT) / norms[:, None])
+
+
+def undetermined(shape: Shape, strip: Strip, state: State) -> bool:
+    """Whether a change of the shape can be made up for by blur and levels, so that the pixels look the same.
+
+    `influence_of` leaves such a change out: its standard errors say nothing then.
+    """
+    jacobian = jacobian_of(shape, strip, state)
+    norms = np.linalg.norm(jacobian, axis=0)
+    _, sizes, ways = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    unseen = ways[sizes < _DEPENDENT * sizes[0], : len(shape.units)]
+    return bool((np.abs(unseen) > _UNSEEN).any())
 
 
 def solved(shape: Shape, strip: Strip, parameters: Array, blur: Blur, *, done: float = DONE) -> State:
