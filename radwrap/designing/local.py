@@ -191,6 +191,7 @@ def _excess(constraints: Sequence[Any], x: Array) -> float:
     found = [0.0]
     for one in constraints:
         value = np.atleast_1d(one.A @ x if isinstance(one, LinearConstraint) else one.fun(x))
-        value = np.where(np.isfinite(value), value, np.inf)
+        if not np.isfinite(value).all():  # even one without a limit is broken by what cannot be measured
+            return math.inf
         found += [float(np.max(value - one.ub)), float(np.max(one.lb - value))]
     return max(found)

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.optimize import linprog
+from scipy.optimize import NonlinearConstraint, linprog
 
 from radwrap.designing.best_levels import FoundLevels, best_levels
 from radwrap.designing.document import read_problem
 from radwrap.designing.light import LOCAL, LightAim, levels_of, time_of
+from radwrap.designing.local import _excess
 from radwrap.study.factors import in_si
 from tests.designing.conftest import basis_of, sheet, write_problem
 
@@ -121,3 +122,11 @@ def test_a_time_that_is_searched_keeps_the_limit_too(tmp_path: Path) -> None:
     assert asked is not None and 0.01 <= asked <= 0.3
     assert found.value - DARK == pytest.approx(-best.fun, rel=1e-2)
     assert image(light, found).max() <= 130 * (1 + 1e-4)
+
+
+@pytest.mark.parametrize("limits", [(-np.inf, 1.0), (1.0, np.inf), (-np.inf, np.inf)])
+@pytest.mark.parametrize("unknown", [math.nan, math.inf, -math.inf])
+def test_what_cannot_be_measured_breaks_every_limit(limits: tuple[float, float], unknown: float) -> None:
+    of_light = NonlinearConstraint(lambda x: unknown if x[0] == 0 else float(x[0]), *limits)
+    assert _excess([of_light], np.zeros(1)) == math.inf
+    assert _excess([of_light], np.ones(1)) == 0.0
