@@ -33,7 +33,7 @@ LEAST_COSINE: Final = 1e-6
 _LEAST_LOBE: Final = 1e-6
 # In place of smaller cosines in a table's projection.
 _LEAST_PROJECTION: Final = 1e-9
-_LEAST_SINES: Final = 1e-12  # of the squares, where an azimuth means nothing
+LEAST_SINES: Final = 1e-12  # of the squares, where an azimuth means nothing
 
 
 @compiled
@@ -166,7 +166,7 @@ def reflected(
         return total + cover.weight * light * _coefficient(cover, tables, alpha, beta) / projection
     incidence = angle_of(((lx - nx) ** 2 + (ly - ny) ** 2 + (lz - nz) ** 2) / 4)
     viewing = angle_of(((vx - nx) ** 2 + (vy - ny) ** 2 + (vz - nz) ** 2) / 4)
-    sines = math.sqrt(max(_LEAST_SINES, (1 - light * light) * (1 - eye * eye)))
+    sines = math.sqrt(max(LEAST_SINES, (1 - light * light) * (1 - eye * eye)))
     cosine = min(1.0, max(-1.0, (lx * vx + ly * vy + lz * vz - light * eye) / sines))
     return total + cover.weight * light * _measured(cover, tables, incidence, viewing, angle_of((1 - cosine) / 2))
 

@@ -7,8 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from radwrap.tracers.compiled.arithmetic import angle_of
 from radwrap.tracers.compiled.arrays import (
+    BEADS,
+    BRDF,
     BRUSHED,
+    COEFFICIENTS,
     CONE,
     LAMBERTIAN,
     TURNED_NORMAL,
@@ -21,6 +25,7 @@ from radwrap.tracers.compiled.arrays import (
     Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
+from radwrap.tracers.compiled.covers import LEAST_SINES
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import sent_by
 from radwrap.tracers.compiled.wide_shape import may_light
@@ -41,10 +46,10 @@ _WEIGHTS: Final = tuple(float(w) / 2 for w in np.concatenate([w for _, w in _RUL
 
 
 @compiled
-def nodes_along(light: Wide, cover: Cover, p: Place, n: Place, v: Place) -> tuple[int, int]:
-    """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where more than `_MOST` must."""
+def nodes_along(light: Wide, cover: Cover, tables: Floats, p: Place, n: Place, v: Place) -> tuple[int, int]:
+    """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where no `_MOST` of them do."""
     along, around = _lengths(light)
-    if light.beam == CONE:
+    if light.beam == CONE or _has_corner(light, cover, tables, p, n, v):
         return 0, 0
     fine = _resolved(light, cover, p, n, v)
     if light.beam != LAMBERTIAN:
@@ -78,6 +83,69 @@ def _resolved(light: Wide, cover: Cover, p: Place, n: Place, v: Place) -> float:
     # A grazing eye sees a lobe whose light comes from a narrow band above the horizon: a direction aside turns the
     # normal halfway by one over the sum of both cosines, of which that of the light is about as far off as the lobe.
     return cover.fine * max(cosine - rough * sine, 0.0)
+
+
+@compiled
+def _has_corner(light: Wide, cover: Cover, tables: Floats, p: Place, n: Place, v: Place) -> bool:
+    """Whether a table may bend within a light as it is seen: it is straight from node to node of its angles."""
+    if cover.kind not in (COEFFICIENTS, BEADS, BRDF):
+        return False
+    d, sine = _ball(light, p)
+    if sine >= 1:
+        return True
+    first = cover.table
+    second = first + int(cover.a)
+    third = second + int(cover.b)
+    half = _angle_of_sine(sine)
+    observation, incidence = _angle_between(d, v), _angle_between(d, n)
+    if cover.kind == BEADS:
+        return _bends(tables, first, second, observation, half)
+    if cover.kind == COEFFICIENTS:
+        return _bends(tables, first, second, observation, half) or _bends(tables, second, third, incidence, half)
+    last = third + int(cover.c)
+    return _bends(tables, first, second, incidence, half) or _turns(tables, third, last, n, v, d, sine)
+
+
+@compiled
+def _ball(light: Wide, p: Place) -> tuple[Place, float]:
+    """Unit vector to the middle of a light's box, and the sine of the angle of a ball around the box; 1 from within."""
+    x, y, z = (light.x0 + light.x1) / 2 - p[0], (light.y0 + light.y1) / 2 - p[1], (light.z0 + light.z1) / 2 - p[2]
+    away = math.sqrt(x * x + y * y + z * z)
+    reach = math.sqrt((light.x1 - light.x0) ** 2 + (light.y1 - light.y0) ** 2 + (light.z1 - light.z0) ** 2) / 2
+    if reach >= away:
+        return (0.0, 0.0, 1.0), 1.0
+    return (x / away, y / away, z / away), reach / away
+
+
+@compiled
+def _angle_between(d: Place, n: Place) -> float:
+    return angle_of(((d[0] - n[0]) ** 2 + (d[1] - n[1]) ** 2 + (d[2] - n[2]) ** 2) / 4)
+
+
+@compiled
+def _angle_of_sine(sine: float) -> float:
+    return angle_of(sine * sine / (2 * (1 + math.sqrt(1 - sine * sine))))
+
+
+@compiled
+def _bends(tables: Floats, first: int, end: int, angle: float, half: float) -> bool:
+    """Whether a node of a table lies within half a width of an angle; a table of one node bends nowhere."""
+    is_within = False
+    for i in range(first, end):
+        is_within |= abs(tables[i] - angle) <= half
+    return is_within and end - first > 1
+
+
+@compiled
+def _turns(tables: Floats, first: int, end: int, n: Place, v: Place, d: Place, sine: float) -> bool:
+    """As `_bends`, of the azimuth about the normal between the eye and a ball of a light."""
+    light, eye = n[0] * d[0] + n[1] * d[1] + n[2] * d[2], n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+    aside = math.sqrt(max(1 - light * light, 0.0))
+    if aside <= sine:
+        return True
+    sines = max(aside * math.sqrt(max(1 - eye * eye, 0.0)), LEAST_SINES)
+    cosine = min(1.0, max(-1.0, (d[0] * v[0] + d[1] * v[1] + d[2] * v[2] - light * eye) / sines))
+    return _bends(tables, first, end, angle_of((1 - cosine) / 2), _angle_of_sine(sine / aside))
 
 
 @compiled

@@ -86,7 +86,7 @@ def sent(
     whole = diffuse * unhidden(light, tables, p, n, room) if diffuse > 0 else 0.0
     with_lobe = False
     if cover.kind != NOTHING:
-        first, second = nodes_along(light, cover, p, n, v)
+        first, second = nodes_along(light, cover, tables, p, n, v)
         with_lobe = first > 0
         if with_lobe:
             whole += whole_lobe(light, cover, tables, p, n, v, first, second)
