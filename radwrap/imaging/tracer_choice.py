@@ -24,6 +24,7 @@ from radwrap.tracers.agreement import Agreement, agreement
 from radwrap.tracers.bouncing import SURE_STEPS, Reflecting
 from radwrap.tracers.engine import Engine, EngineName
 from radwrap.tracers.expressible import compiler_lacks, inexpressible
+from radwrap.tracers.text_frame import users_frame
 from radwrap.tracers.tracer import Tracer
 
 # Rays times sources that Radiance traces in about the time that the compiled tracer takes to be loaded, .3 s.
@@ -41,9 +42,12 @@ _WALKS: Final = 2 * 3 * FEWEST
 # What each step of a walk asks Radiance besides a ray to each source: where the surface is, and whose.
 _ASKED_BESIDES: Final = 2
 _PROBE: Final = 512
-# Half of the probe lies as near as this to where one part ends and another begins [px]. Within a hundredth of a pixel
-# of a body's rim Radiance loses grazing light to the rim itself, which no image shows.
+# Half of the probe lies in pairs around where one part ends and another begins: found to within this [px], and then
+# moved apart by half of that. Radiance loses grazing light to a body's rim, and a polygon of it is larger by 1e-6
+# square units over the length of a side. No image shows either, and a ray that comes too near to a rim does.
 _NEAR: Final = 0.03
+# What float32 may lose of the light of sources that the text's unit of radiance is chosen for.
+_LOST: Final = 1e-30
 _LOOKED_AT: Final = 4096
 _REMEDY: Final = f"{installing('fast')}, or trace by Radiance"
 
@@ -148,7 +152,7 @@ def _fewest_rays(camera: Camera, options: RenderOptions) -> int:
 
 def probed(reference: Tracer, other: Engine, scene: Scene, rays: NDArray[np.float64]) -> Agreement:
     """A comparison of a tracer with Radiance along the rays of a probe."""
-    return agreement(reference, other.tracer(scene), rays)
+    return agreement(reference, other.tracer(scene), rays, nothing=_nothing(scene))
 
 
 def walks_probed(
@@ -161,7 +165,12 @@ def walks_probed(
     """A comparison of walks by Radiance with those by another tracer, which have the same draws."""
     steps = _steps_of(options)
     reference, other = (engine.bouncing(scene, materials, steps) for engine in engines)
-    return agreement(reference, other, rays, places=1 + steps)
+    return agreement(reference, other, rays, places=1 + steps, nothing=_nothing(scene))
+
+
+def _nothing(scene: Scene) -> float:
+    """Radiance that Radiance may take for none [W m^-2 sr^-1]."""
+    return _LOST * users_frame(scene).radiance
 
 
 def geometry_of(camera: Camera) -> Camera:
@@ -220,7 +229,7 @@ def _steps(
     size: NDArray[np.intp],
     parts: Callable[[NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Places next to where parts end, on both sides, shape (n, 2); found by halving between places that differ."""
+    """Places beside where parts end, on both sides, shape (n, 2); found by halving between places that differ."""
     one, other = places, np.roll(places, 1, axis=0)
     first, second = parts(one), parts(other)
     differ = first != second
@@ -229,4 +238,5 @@ def _steps(
         middle = (one + other) / 2
         same = (parts(middle) == first)[:, np.newaxis]
         one, other = np.where(same, middle, one), np.where(same, other, middle)
-    return np.concatenate([one, other])
+    aside = (other - one) / 2
+    return np.concatenate([one - aside, other + aside])

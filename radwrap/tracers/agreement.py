@@ -49,14 +49,18 @@ class Agreement:
     agree: bool
 
 
-def agreement(reference: Tracer, other: Tracer, rays: NDArray[np.float64], places: int = 1) -> Agreement:
+def agreement(
+    reference: Tracer, other: Tracer, rays: NDArray[np.float64], places: int = 1, nothing: float = 0.0
+) -> Agreement:
     """Compare the radiance of two tracers along rays, shape (n, 6).
 
     Where a ray's radiance comes from several places, such as those of a walk, each may be lit or met otherwise.
+    Differences up to `nothing` are none: what is that dark a tracer may have lost to its number format.
     """
     expected, found = (_radiance(tracer, rays) for tracer in (reference, other))
     scale = np.maximum(expected, _DARK * expected.max(initial=0.0))
     difference = np.abs(found - expected)
+    difference[difference <= nothing] = 0.0
     relative = np.where(difference > 0, difference / np.where(scale > 0, scale, 1.0), 0.0)
     relative[(scale == 0) & (difference > 0)] = np.inf
     same = relative <= SAME

@@ -269,10 +269,12 @@ def test_agreement_by_closed_forms() -> None:
     assert not agreement(Told(dark), Told(dark + 1e-10), rays).agree
     assert agreement(Told(0 * ones), Told(0 * ones), rays).agree
     assert not agreement(Told(0 * ones), Told(1e-9 * ones), rays).agree
+    assert agreement(Told(0 * ones), Told(1e-40 * ones), rays, nothing=1e-30).agree
+    assert not agreement(Told(0 * ones), Told(1e-29 * ones), rays, nothing=1e-30).agree
 
 
 def test_half_of_the_probe_lies_where_parts_end() -> None:
-    """Rays in pairs 0.03 pixels or less from a step: neighbours there see different parts."""
+    """Rays in pairs 0.045 pixels or less from a step: neighbours there see different parts."""
     scene = small()
     with laid_out(scene, RenderOptions(tracer="compiled")) as traced:
         numbered = traced.numbered_tracer()
@@ -289,6 +291,53 @@ def test_half_of_the_probe_lies_where_parts_end() -> None:
             near[:, 3:] += np.cos(turn) * right + np.sin(turn) * up
             differs |= next(numbered.trace([near])) != own
         assert differs.mean() > 0.99
+
+
+def seen_past_a_bar(look_at: list[str], **changes: Any) -> Scene:
+    """A sheet of 1 mm in pixels of 20 um, and a bar between it and the camera, whose back takes some of the view."""
+    bar = {
+        "type": "rectangle",
+        "name": "bar",
+        "position": ["-0.8735 mm", "-0.0136 mm", "12.1654 mm"],
+        "look_at": look_at,
+        "up": [0.1, 0.2, 0.97],
+        "size": ["7.9435 mm", "0.8874 mm"],
+        "radiance": "100 W/m^2/sr",
+    }
+    pixels = {"rows": 40, "columns": 40, "pixel_width": "10 um", "pixel_height": "10 um", "gain": "1e5 (J/m^2)^-1"}
+    camera = {
+        "position": ["0 mm", "0 mm", "20 mm"],
+        "look_at": ["0 mm", "0 mm", "0 mm"],
+        "focal_length": "10 mm",
+        "exposure_time": "10 ms",
+        "aperture": {"diameter": "0.1 mm"},
+        "sensor": {**pixels, "gamma": 1.0, "dark_gray": 4, "saturation_gray": 255},
+    }
+    return radwrap.scene_from_document(
+        {
+            "camera": camera,
+            "sources": [bar | changes],
+            "materials": {"white": {"type": "lambertian", "reflectance": 0.5}},
+            "targets": [{"type": "sheet", "name": "sheet", "material": "white", "size": ["1 mm", "1 mm"]}],
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        # Radiance's patches there are larger by 4 nm, and half of the probe lies within 0.2 um of their rim.
+        seen_past_a_bar(["2.3415 mm", "4.3499 mm", "0 mm"]),
+        # A beam of 3 degrees that passes 40 degrees beside the sheet: below 1e-45, which float32 has not.
+        seen_past_a_bar(["0 mm", "15 mm", "0 mm"], beam={"profile": "gaussian", "width": "3 deg"}),
+    ],
+    ids=["rim", "nothing"],
+)
+def test_what_no_image_shows_is_not_held_against_a_tracer(scene: Scene) -> None:
+    with laid_out(scene, RenderOptions(tracer="compiled")) as traced:
+        assert traced.tracers_agree()
+        probe = traced.tracer_used.probe
+        assert probe is not None and probe.agree and probe.differing <= 1
 
 
 def test_both_tracers_make_the_same_image(tmp_path: Path) -> None:
