@@ -908,10 +908,25 @@ def test_a_black_stripe_has_its_width_though_noise_makes_it_darker() -> None:
         assert line.width is not None and abs(line.width - 4.6) < 4 * (line.width_sigma or 0) < 0.15
 
 
+def test_uneven_light_does_not_move_a_narrow_stripe() -> None:
+    """Light with a slope s moves both rims by s b^2/4 under a disc of radius b, here 6 of a frame's standard errors."""
+    fine, width, blur, slope = 40, 11.0, 4.5, 0.004
+    x = (np.arange(80 * fine) + 0.5) / fine - 0.5
+    sharp = (40 + 110 * (np.abs(x - 40.3) < width / 2)) * (1 + slope * (x - 40.3))
+    disc = np.sqrt(np.maximum(blur**2 - (np.arange(-5 * fine, 5 * fine + 1) / fine) ** 2, 0))
+    seen = np.convolve(np.pad(sharp, 5 * fine, "edge"), disc / disc.sum(), "valid").reshape(80, fine).mean(axis=1)
+    caliper, dice, off = StraightCaliper((40.0, 30.0), 0.0, 40, 18), np.random.default_rng(3), []
+    for _ in range(3):
+        line = measure_line(GrayImage(noisy(np.tile(seen, (60, 1)), dice)), caliper, stripe=True)
+        assert line.width is not None and abs(line.width - width) < 4 * (line.width_sigma or 0) < 0.2
+        off.append((line.centre[0] - 40.3) / line.position_sigma)
+    assert abs(np.mean(off)) < 4 / math.sqrt(len(off))
+
+
 def test_light_that_changes_across_a_stripe_is_no_second_edge() -> None:
     """The light between two rims under a blur, x of a box, beside fine quadrature; and frames of such a stripe."""
     level = stripe_shape(np.array([30.0, 25.0]), 0.3, 30.0, np.array([0.0, 0.0, 7.0]))
-    shape = replace(level, sloped=True)
+    shape = replace(level, slopes=np.eye(2))
     v, u = np.indices((50, 60))
     places = np.column_stack([u.ravel(), v.ravel()]).astype(np.float64)
     steps = 40

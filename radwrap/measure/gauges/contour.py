@@ -49,7 +49,6 @@ from radwrap.measure.gauges.strip import (
     moved_light,
     solved,
     terms_of,
-    undetermined,
 )
 
 Array = NDArray[np.float64]
@@ -311,7 +310,7 @@ def _told(
 ) -> Contour:
     """Covariance, influence of each pixel, and what speaks against the model; levels and radius are of one disc."""
     count = len(state.parameters)
-    inverse = influence_of(shape, strip, state)
+    inverse, undetermined = influence_of(shape, strip, state)
     variance = float(state.residual @ state.residual) / max(strip.light.size - len(inverse), 1)
     across = np.choose(state.nearest, [rim.distance for rim in state.rims])
     # Rounding is noise of its own, also where a still image shows none.
@@ -320,7 +319,7 @@ def _told(
     noise = np.maximum(variance, rounding) * factor
     # What holds the shares counts as a measurement of each.
     covariance = (inverse * np.append(noise, np.full(len(DISCS), noise.mean()))) @ inverse.T
-    blur_sigma = math.sqrt(float(influence_of(shape, strip, disc)[count] ** 2 @ noise))
+    blur_sigma = math.sqrt(float(influence_of(shape, strip, disc)[0][count] ** 2 @ noise))
     low, high = _levels(strip, disc)  # large discs leave levels in doubt, though not the place
     if abs(high - low) < _FAINTEST / float(np.median(strip.weight)):
         raise InputError("shows no contour above its noise", where="the image", remedy="raise contrast or exposure")
@@ -354,7 +353,7 @@ def _told(
             *_warnings(
                 strip, disc, state, misfit if significant else 0.0, sided=sided, second=second, rounded=is_whole(light)
             ),
-            *((_UNDETERMINED,) if undetermined(shape, strip, state) else ()),
+            *((_UNDETERMINED,) if undetermined else ()),
         ),
     )
 

@@ -48,6 +48,7 @@ _SHAPE: Final = 0.05
 _SHAPE_SIGMAS: Final = 2.0
 _NO_DISC: Final = 5.0  # standard deviations, by which a sum of discs fits better where the blur is no disc
 # Blurs, from which width on a slope of light between straight rims is seen: of narrower things it is a kind of blur.
+# Where light falls unevenly it changes there as it does outside, by the same share of what comes back.
 _PLATEAU: Final = 4.0
 _CLOSE: Final = 1e-4  # px; how much worse a fit is hangs on the square of that
 _FINE: Final = 2000  # places of the likelihood's integral
@@ -169,8 +170,8 @@ def _of_one_blur(fit: Contour) -> Contour:
 def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
     for number in range(_TRIES):
         fit = fitted(shape, blur)
-        if not shape.closed and not shape.sloped and fit.parameters[-1] > _PLATEAU * fit.blur:
-            shape = replace(shape, start=fit.parameters, sloped=True)
+        if not shape.closed and shape.slopes.size == 0:
+            shape = replace(shape, start=fit.parameters, slopes=_slopes(shape, fit))
             fit = fitted(shape, fit.blur)
         width = float(fit.parameters[-1])
         alike = lookalike(width, fit.blur)
@@ -200,6 +201,15 @@ def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Cont
         shape, blur = replace(shape, start=np.append(fit.parameters[:-1], better.width)), better.blur
     # Of other pixels another one is better, again and again.
     return NarrowFit(fit, better)
+
+
+def _slopes(shape: Shape, fit: Contour) -> Array:
+    """How light may change across a straight thing, see `Shape`: the middle is off by blur^2 times a slope left out."""
+    if fit.parameters[-1] > _PLATEAU * fit.blur:
+        return np.eye(2)
+    outside, between = _levels(_best(shape, fit.strip, fit.parameters, fit.blur))
+    shares = np.array([[outside], [between - outside]])
+    return np.asarray(shares / np.abs(shares).max())
 
 
 def _levels(state: State) -> tuple[float, float]:

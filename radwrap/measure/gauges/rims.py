@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -52,8 +52,8 @@ class Shape:
         Of the contour [px].
     closed : bool
         Whether it comes back to where it began.
-    sloped : bool
-        Of two rims, whether light may change from one to the other.
+    slopes : ndarray, shape (2, m)
+        Of two rims, m ways in which light may change across both: the slope outside, and what is added to it between.
     """
 
     rims: Callable[[Array, Array], Sequence[Rim]]
@@ -61,7 +61,7 @@ class Shape:
     units: Array
     length: float
     closed: bool
-    sloped: bool = False
+    slopes: Array = field(default_factory=lambda: np.zeros((2, 0)))
 
 
 def length_of(vectors: Array) -> Array:

@@ -59,7 +59,7 @@ def has_sides(
         return np.asarray(whole - own @ (own.T @ whole))
 
     residual = np.concatenate([state.residual, -state.blur.held * state.blur.shares])[rows]
-    if len(state.rims) > 1 and not shape.sloped:
+    if len(state.rims) > 1 and shape.slopes.shape[1] < len(shape.slopes):
         # Light that changes between two rims, which such a fit takes for level, has a side too.
         slopes = slopes_of(state.rims, [(rim.step, rim.ramp) for rim in state.terms.seen])
         other = np.linalg.qr(beside(strip.weight[:, None] * slopes))[0]

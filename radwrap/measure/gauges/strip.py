@@ -108,18 +108,21 @@ class Terms:
         Functions along the contour, by which levels and their slopes across it change.
     half : ndarray, shape (n,)
         Of two rims half of their distance [px], else 0.
+    slopes : ndarray, shape (2, m)
+        Of the shape.
     by_disc : sequence of sequence of Step
         What each pixel sees of each rim by each disc of the blur.
     seen : sequence of Step
         The same by all the blur.
     matrix : ndarray, shape (n, levels)
         Of one rim: dark side, its slope, contrast, slope of the contrast. Of two, between which it is bright: dark
-        side, contrast of the first rim, and of the second; of a sloped shape slopes of the dark side and between.
+        side, contrast of the first rim, and of the second, and the shape's ways to slope.
     """
 
     wide: Array
     slow: Array
     half: Array
+    slopes: Array
     by_disc: Sequence[Sequence[Step]]
     seen: Sequence[Step]
     matrix: Array
@@ -133,15 +136,15 @@ class Terms:
     def parts(self, levels: Array) -> list[Array]:
         """Levels by the blocks of columns."""
         wide, slow = self.wide.shape[1], self.slow.shape[1]
-        sizes = [wide, slow, wide, slow] if len(self.seen) == 1 else [wide, slow, slow, 1, 1]
-        return np.split(levels, np.cumsum(sizes)[:-1])
+        sizes = [wide, slow, wide, slow] if len(self.seen) == 1 else [wide, slow, slow]
+        return np.split(levels, np.cumsum(sizes)[:3])
 
     def at_rims(self, levels: Array) -> list[tuple[Array, Array]]:
         """Contrast of each rim's step, and slope of its ramp."""
         parts = self.parts(levels)
         if len(self.seen) == 1:
             return [(self.wide @ parts[2], self.slow @ parts[3])]
-        slope, first, second = float(parts[4].sum()), self.slow @ parts[1], self.slow @ parts[2]
+        slope, first, second = float(self.slopes[1] @ parts[3]), self.slow @ parts[1], self.slow @ parts[2]
         return [
             (first - slope * self.half, np.full_like(first, slope)),
             (second + slope * self.half, np.full_like(first, -slope)),
@@ -204,9 +207,8 @@ def terms_of(shape: Shape, rims: Sequence[Rim], blur: Blur, aspect: float) -> Te
     seen = [mixed(discs, shares) for discs in by_disc]
     wide, slow = _bases(shape, rims)
     half = (rims[0].distance + rims[1].distance) / 2 if len(rims) > 1 else np.zeros(len(slow))
-    return Terms(
-        wide, slow, half, by_disc, seen, _matrix(shape, wide, slow, rims, [(rim.step, rim.ramp) for rim in seen])
-    )
+    matrix = _matrix(shape, wide, slow, rims, [(rim.step, rim.ramp) for rim in seen])
+    return Terms(wide, slow, half, shape.slopes, by_disc, seen, matrix)
 
 
 def _matrix(shape: Shape, wide: Array, slow: Array, rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
@@ -215,7 +217,7 @@ def _matrix(shape: Shape, wide: Array, slow: Array, rims: Sequence[Rim], seen: S
         parts = [wide, slow * rims[0].distance[:, None], wide * step[:, None], slow * ramp[:, None]]
         return np.concatenate(parts, axis=1)
     parts = [wide, slow * step[:, None], slow * (others[0][0] - 1)[:, None]]
-    return np.concatenate([*parts, slopes_of(rims, seen)] if shape.sloped else parts, axis=1)
+    return np.concatenate([*parts, slopes_of(rims, seen) @ shape.slopes], axis=1)
 
 
 def slopes_of(rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
@@ -274,24 +276,20 @@ def jacobian_of(shape: Shape, strip: Strip, state: State) -> Array:
     return np.concatenate([whole, held])
 
 
-def influence_of(shape: Shape, strip: Strip, state: State) -> Array:
-    """What an error of each pixel's weighted light, and then of what holds the shares, does to all parameters."""
-    jacobian = jacobian_of(shape, strip, state)
-    norms = np.linalg.norm(jacobian, axis=0)
-    norms[norms == 0] = 1.0
-    return np.asarray(np.linalg.pinv(jacobian / norms, rcond=_DEPENDENT) / norms[:, None])
+def influence_of(shape: Shape, strip: Strip, state: State) -> tuple[Array, bool]:
+    """What an error of each pixel's weighted light, and then of what holds the shares, does to all parameters.
 
-
-def undetermined(shape: Shape, strip: Strip, state: State) -> bool:
-    """Whether a change of the shape can be made up for by blur and levels, so that the pixels look the same.
-
-    `influence_of` leaves such a change out: its standard errors say nothing then.
+    And whether a change of the shape can be made up for by blur and levels, so that the pixels look the same: such a
+    change is left out, and standard errors say nothing then.
     """
     jacobian = jacobian_of(shape, strip, state)
     norms = np.linalg.norm(jacobian, axis=0)
-    _, sizes, ways = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
-    unseen = ways[sizes < _DEPENDENT * sizes[0], : len(shape.units)]
-    return bool((np.abs(unseen) > _UNSEEN).any())
+    norms[norms == 0] = 1.0
+    left, sizes, ways = np.linalg.svd(jacobian / norms, full_matrices=False)
+    seen = sizes > _DEPENDENT * sizes[0]
+    unseen = ways[~seen, : len(shape.units)]
+    inverse = (ways[seen].T / sizes[seen]) @ left[:, seen].T / norms[:, None]
+    return np.asarray(inverse), bool((np.abs(unseen) > _UNSEEN).any())
 
 
 def solved(shape: Shape, strip: Strip, parameters: Array, blur: Blur, *, done: float = DONE) -> State:
