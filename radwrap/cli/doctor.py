@@ -96,13 +96,15 @@ def _compiled(*, warm: bool) -> tuple[str, str]:
     """Version of the compiler, and whether and where the tracer is compiled."""
     if lacks := compiler_lacks():
         raise EnvironmentFailure(lacks)
-    from radwrap.imaging.methods.direct_gather import compile_ahead
+    from radwrap.imaging.methods import direct_gather
+    from radwrap.imaging.tolerance import sorted_light
     from radwrap.tracers.compiled.compiler import VERSIONS, cache_folder
     from radwrap.tracers.compiled.warm import is_warm, warm_up
 
     if warm:
         warm_up()
-        compile_ahead()
+        direct_gather.compile_ahead()
+        sorted_light.compile_ahead()
     state = "compiled" if is_warm() else "not compiled yet; radwrap doctor --warm compiles it"
     return f"numba {VERSIONS['numba']}, {state}", str(cache_folder())
 

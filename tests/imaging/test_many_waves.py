@@ -24,7 +24,9 @@ from radwrap.imaging.tolerance.kept_replicates import read_replicates
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.sampling import Pilot, strictest
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import kept_transforms, lit_layers, wave_cells, wave_parts, wave_tile
+from radwrap.imaging.tolerance.wave_gather import kept_transforms
+from radwrap.imaging.tolerance.wave_light import lit_layers
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan, plan_waves
 from radwrap.imaging.tracing import LaidOutScene, laid_out
 from radwrap.imaging.with_waves import even_waves

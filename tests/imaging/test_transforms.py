@@ -27,3 +27,18 @@ def test_images_are_gathered_by_their_weights(width: int) -> None:
 
 def test_lengths_are_products_of_small_primes() -> None:
     assert [fast_length(size) for size in (1, 7, 11, 97, 1294)] == [1, 8, 12, 100, 1296]
+
+
+@pytest.mark.parametrize("step", [2, 4, 8])
+def test_every_so_many_rows_and_columns_are_those_of_all(step: int) -> None:
+    shape, random = (3 * step, 5 * step), np.random.default_rng(step)
+    images, weights = random.normal(size=(2, 2, *shape))
+    spectra, conjugate = ([spectrum_of(each, shape) for each in both] for both in (images, weights))
+    every = correlated(spectra, conjugate, shape, step)
+    assert every == pytest.approx(correlated(spectra, conjugate, shape)[::step, ::step], abs=1e-10)
+
+
+def test_rows_before_the_first_are_dark() -> None:
+    values = np.random.default_rng(1).normal(size=(3, 7))
+    below = np.concatenate([np.zeros((4, 7)), values])
+    assert (spectrum_of(values, (9, 8), 4) == spectrum_of(below, (9, 8))).all()

@@ -22,8 +22,9 @@ from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.bounds import Bounded
 from radwrap.imaging.tolerance.cells_in_common import own_change, smaller_cell
 from radwrap.imaging.tolerance.certificate import Certificate
+from radwrap.imaging.tolerance.wave_gather import _crossing
 from radwrap.imaging.tolerance.wave_image import WaveError, _common_square, seen_rms, visible_gray, wave_error
-from radwrap.imaging.tolerance.wave_parts import WaveParts, _crossing, wave_parts
+from radwrap.imaging.tolerance.wave_parts import WaveParts, wave_parts
 from radwrap.imaging.tolerance.wave_plan import by_diameter, plan_waves
 from radwrap.imaging.wave_shares import finer, left_to_image
 from radwrap.imaging.with_waves import _Image

@@ -16,8 +16,9 @@ from radwrap.imaging.optics.view import trace_rays
 from radwrap.imaging.render_options import RenderOptions
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.survey import survey, with_smooth_blocks
+from radwrap.imaging.tolerance.wave_gather import kept_transforms
 from radwrap.imaging.tolerance.wave_image import visible_gray
-from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_parts, wave_tile
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_parts, wave_tile
 from radwrap.imaging.tolerance.wave_plan import known_to, plan_waves
 from radwrap.imaging.tracing import laid_out
 from radwrap.scene.aberrations import Wavefront

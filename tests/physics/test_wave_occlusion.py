@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from radwrap.imaging.methods.around import least_around, most_around, sum_around
 from radwrap.imaging.optics.view import View
-from radwrap.imaging.tolerance.wave_behind import Filling, Layout, as_seen
+from radwrap.imaging.tolerance.wave_behind import Filling, Layout, by_layer
 from radwrap.imaging.tolerance.wave_image import WaveError, visible_gray, wave_error
 from radwrap.imaging.tolerance.wave_parts import wave_parts
 from radwrap.imaging.tolerance.wave_plan import plan_waves
@@ -207,10 +207,11 @@ def test_light_that_is_laid_out_adds_up_and_slopes_hide_nothing() -> None:
     across = np.broadcast_to(np.linspace(0.0, 0.3, 64), (48, 64))
     values = 1 + across
     even = Layout.of(across, layers)
-    assert even.going_on(values) is None and sum(as_seen(values, even.shares).values()) == pytest.approx(values)
+    assert even.going_on(values) is None and sum(by_layer(((values, even.seen),)).values()) == pytest.approx(values)
     hiding = np.where(np.arange(64) < 20, 0.3, 0.1) * np.ones((48, 1))
-    behind = Layout.of(hiding, layers).going_on(values)
-    assert behind is not None and sum(behind.values()) == pytest.approx(values)
+    going_on = Layout.of(hiding, layers).going_on(values)
+    behind = {} if going_on is None else by_layer(going_on)
+    assert behind and sum(behind.values()) == pytest.approx(values)
     # What lies behind goes on to the border, and the near layer has what differs from it.
     assert (behind[1][:, 22:] == values[:, 22:]).all() and behind[1][:, 19] == pytest.approx(values[:, 22], rel=0.02)
     assert behind[3] == pytest.approx(values - behind[1])
@@ -222,8 +223,9 @@ def test_a_cell_that_an_edge_crosses_belongs_to_what_is_near(crossed: float) -> 
     depth, values = np.full((12, 40), 0.1), np.full((12, 40), 8.0)
     depth[:, :15], values[:, :15] = 0.3, 1.0
     depth[:, 15], values[:, 15] = crossed, 4.5
-    laid_out = Layout.of(depth, (0.0, 0.1, 0.2, 0.3)).going_on(values)
-    assert laid_out is not None and laid_out[1] == pytest.approx(np.full(depth.shape, 8.0))
+    going_on = Layout.of(depth, (0.0, 0.1, 0.2, 0.3)).going_on(values)
+    laid_out = {} if going_on is None else by_layer(going_on)
+    assert laid_out and laid_out[1] == pytest.approx(np.full(depth.shape, 8.0))
     near, column = (laid_out[2] + laid_out[3])[0], np.arange(40)
     assert near == pytest.approx(np.where(column < 15, -7.0, np.where(column > 15, 0.0, -3.5)))
     assert (np.abs(laid_out[3][0]) >= 0.89 * np.abs(near)).all()
@@ -257,9 +259,9 @@ def test_what_is_even_behind_an_edge_leaves_nothing_uneven() -> None:
     depth = np.where(np.arange(64) < 20, 0.3, 0.1) * np.ones((48, 1))
     laid_out = Layout.of(depth, (0.0, 0.1, 0.2, 0.3))
     even = laid_out.uneven(np.where(depth > 0.2, 2.0, 5.0), 6)
-    assert all(np.abs(light).max() < 1e-12 for one in even for light in one.values())
+    assert all(np.abs(light).max() < 1e-12 for one in even for light in by_layer(one).values())
     striped = 5 + np.cos(np.arange(64) * np.pi / 2) * np.ones((48, 1))
-    far, near = laid_out.uneven(striped, 6)
+    far, near = map(by_layer, laid_out.uneven(striped, 6))
     uneven = far[1]
     assert near[3] == pytest.approx(uneven)
     # Crossed cells have their share of the edge; beyond its reach and on what is near nothing counts.

@@ -26,7 +26,7 @@ from radwrap.imaging.optics.wave_footprint import passed_weights
 from radwrap.imaging.optics.waves import Waves
 from radwrap.imaging.response.sensor import gray_levels
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, mean_squares, resampling
-from radwrap.imaging.tolerance.wave_behind import Layout, as_seen
+from radwrap.imaging.tolerance.wave_behind import Layout, by_layer
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Camera
 
@@ -424,9 +424,9 @@ def _gathered(
 ) -> tuple[Array, Array]:
     """What rays gather at those pixels of a part that lie alike in their cells, and what waves add."""
     layout = Layout.of(depth, grid.layers)
-    seen, behind = as_seen(light, layout.shares), layout.going_on(light)
-    spectra = {layer: np.fft.rfft2(one) for layer, one in seen.items()}
-    of_behind = spectra if behind is None else {layer: np.fft.rfft2(one) for layer, one in behind.items()}
+    behind = layout.going_on(light)
+    spectra = {layer: np.fft.rfft2(one) for layer, one in by_layer(((light, layout.seen),)).items()}
+    of_behind = spectra if behind is None else {layer: np.fft.rfft2(one) for layer, one in by_layer(behind).items()}
     r0, r1, c0, c1 = rect
     first_row, _, first_column, _ = grid.around(rect, grid.far)
     step = max(1, round(grid.cell))

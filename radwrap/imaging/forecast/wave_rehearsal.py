@@ -9,8 +9,8 @@ from radwrap.imaging.methods.central import Cells
 from radwrap.imaging.optics.view import LitView, View
 from radwrap.imaging.tolerance.own_rays import strips_beside
 from radwrap.imaging.tolerance.wave_far import far_rays, far_view
+from radwrap.imaging.tolerance.wave_gather import kept_transforms
 from radwrap.imaging.tolerance.wave_parts import (
-    kept_transforms,
     sampling_of_all,
     wave_cells,
     wave_images,

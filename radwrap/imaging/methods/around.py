@@ -5,14 +5,20 @@ In place of scipy.ndimage, which takes longer to import than a small image to ma
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_BESIDE: Final = 3
+
 
 def most_around(values: Array, size: int) -> Array:
     """Largest value in squares of so many rows and columns around each, an odd number."""
+    if size == _BESIDE:
+        return _beside(values, np.maximum)
     for _ in range(2):  # rows, then columns
         values = np.pad(values, [(size // 2, size // 2), (0, 0)], mode="edge")
         seen = 1
@@ -25,7 +31,18 @@ def most_around(values: Array, size: int) -> Array:
 
 def least_around(values: Array, size: int) -> Array:
     """Smallest value in such squares."""
-    return -most_around(-values, size)
+    return _beside(values, np.minimum) if size == _BESIDE else -most_around(-values, size)
+
+
+def _beside(values: Array, better: np.ufunc) -> Array:
+    """The best of each place and the eight beside it: three quarters of the time go without room for more."""
+    down = values.copy()
+    better(down[1:], values[:-1], out=down[1:])
+    better(down[:-1], values[1:], out=down[:-1])
+    found = down.copy()
+    better(found[:, 1:], down[:, :-1], out=found[:, 1:])
+    better(found[:, :-1], down[:, 1:], out=found[:, :-1])
+    return found
 
 
 def sum_around(values: Array, size: int) -> Array:

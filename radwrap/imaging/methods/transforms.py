@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +24,56 @@ def fast_length(size: int) -> int:
         size += 1
 
 
-def spectrum_of(values: Array, shape: Sequence[int]) -> Complex:
-    """Transform of an image, with zeros beside it up to a shape, as `numpy.fft.rfft2` has it."""
-    rows, (height, width) = values.shape[-2], shape
-    found = np.empty((*values.shape[:-2], height, width // 2 + 1), dtype=np.complex128)
-    np.fft.rfft(values, width, axis=-1, out=found[..., :rows, :])
-    found[..., rows:, :] = 0.0
+class Room:
+    """Arrays that are made once and used again: to take a large one anew takes as long as to fill it thrice."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[object, ...], NDArray[Any]] = {}
+
+    def arrays(self, number: int, shape: Sequence[int], kind: type[np.generic] = np.complex128) -> NDArray[Any]:
+        """So many of a shape and kind; whatever they were used for last is still in them."""
+        key = *shape, kind
+        if key not in self._made or len(self._made[key]) < number:
+            self._made[key] = np.empty((number, *shape), dtype=kind)
+        return self._made[key][:number]
+
+
+def spectrum_of(values: Array, shape: Sequence[int], first: int = 0, out: Complex | None = None) -> Complex:
+    """Transform of an image, with zeros beside it up to a shape, as `numpy.fft.rfft2` has it.
+
+    Rows before the first of those that are given hold zeros too.
+    """
+    end, (height, width) = first + values.shape[-2], shape
+    whole = (*values.shape[:-2], height, width // 2 + 1)
+    found = np.empty(whole, dtype=np.complex128) if out is None else out
+    np.fft.rfft(values, width, axis=-1, out=found[..., first:end, :])
+    found[..., :first, :] = 0.0
+    found[..., end:, :] = 0.0
     return np.asarray(np.fft.fft(found, axis=-2, out=found))
 
 
-def correlated(spectra: Sequence[Complex], weights: Sequence[Complex], shape: Sequence[int]) -> Array:
-    """Sum of images, each gathered by weights: by the images' transforms and the conjugate ones of the weights."""
-    total = spectra[0] * weights[0]
-    for spectrum, weight in zip(spectra[1:], weights[1:], strict=True):
-        total += spectrum * weight
+def correlated(
+    spectra: Iterable[Complex], weights: Iterable[Complex], shape: Sequence[int], step: int = 1, *, spent: bool = False
+) -> Array:
+    """Sum of images, each gathered by weights: by the images' transforms and the conjugate ones of the weights.
+
+    Of every so many rows and columns, a power of two that divides the shape: frequencies that these do not tell from
+    each other are added up before they are transformed. Spectra that are spent are written over; all but the first may
+    then be made one after the other in the same array.
+    """
+    total: Complex | None = None
+    for spectrum, weight in zip(spectra, weights, strict=True):
+        product = np.multiply(spectrum, weight, out=spectrum if spent else None)
+        total = product if total is None else np.add(total, product, out=total)
+    if total is None:
+        return np.zeros([size // step for size in shape])
+    height, width = (size // step for size in shape)
+    if step > 1:
+        total = total.reshape(*total.shape[:-2], step, height, total.shape[-1]).sum(axis=-3)
     np.fft.ifft(total, axis=-2, out=total)
-    return np.asarray(np.fft.irfft(total, shape[1], axis=-1))
+    for half in (shape[1] >> turn for turn in range(1, step.bit_length())):
+        # Of a row, which is real: the frequency g + half is the conjugate one of half - g.
+        low, high = total[..., : half // 2 + 1], total[..., half - half // 2 : half + 1]
+        total = low + np.conj(high[..., ::-1])
+    found = np.asarray(np.fft.irfft(total, width, axis=-1))
+    return found if step == 1 else np.divide(found, step**2, out=found)

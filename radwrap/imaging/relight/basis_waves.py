@@ -20,7 +20,8 @@ from radwrap.imaging.optics.view import LitView
 from radwrap.imaging.relight.basis_pieces import BasisPieces
 from radwrap.imaging.tolerance.replicates import Work
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
-from radwrap.imaging.tolerance.wave_parts import kept_transforms, wave_cells, wave_tile
+from radwrap.imaging.tolerance.wave_gather import kept_transforms
+from radwrap.imaging.tolerance.wave_parts import wave_cells, wave_tile
 from radwrap.imaging.tolerance.wave_plan import WavePlan
 
 

@@ -95,7 +95,7 @@ class Replicates:
         mean: NDArray[np.float64] = self.images.mean(axis=0, dtype=np.float64)
         return mean if self.own_rays is None else np.maximum(mean, 0.0, out=mean)
 
-    def with_waves(self, change: NDArray[np.float64], cells: NDArray[np.float64]) -> Replicates:
+    def with_waves(self, change: NDArray[np.float64], cells: NDArray[np.float32]) -> Replicates:
         """The images with what waves add to each.
 
         Parameters
@@ -107,7 +107,7 @@ class Replicates:
         """
         known = 0.0 if self.change is None else self.change
         images = (self.images + change).astype(np.float32)
-        return replace(self, images=images, change=known + cells / self.smooth_share)
+        return replace(self, images=images, change=known + cells.astype(np.float64) / self.smooth_share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -441,9 +441,12 @@ def noise_beside(replicates: Replicates, errors: NDArray[np.float64], risky: NDA
 def _straight_gray(view: View, replicates: Replicates) -> NDArray[np.float64]:
     """Gray levels along the slope of Eq. 5 at the mean of all images, which end nowhere."""
     mean, scale, sensor = replicates.mean, view.exposure_of_radiance, view.camera.sensor
-    images = replicates.images.astype(np.float64)
-    slope = slope_in_gray(mean, images.std(axis=0, ddof=1) / math.sqrt(len(images)), scale, sensor)
-    return slope * images
+    found = np.empty(replicates.images.shape)
+    for strip in strips_of(*mean.shape):
+        images = replicates.images[:, strip].astype(np.float64)
+        error = images.std(axis=0, ddof=1) / math.sqrt(len(images))
+        found[:, strip] = slope_in_gray(mean[strip], error, scale, sensor) * images
+    return found
 
 
 def looks(block: tuple[int, int]) -> tuple[int, int]:

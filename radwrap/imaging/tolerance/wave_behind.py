@@ -23,6 +23,8 @@ from radwrap.imaging.methods.kernel import layer_places, layer_share, layers_met
 
 Array = NDArray[np.float64]
 ByLayer = dict[int, Array]  # of the layers that have any, by their number
+# Light and the numbers of the layers that it lies at or between; of one layer none are told.
+Laid = tuple[tuple[Array, Array | None], ...]
 Flags = NDArray[np.bool_]
 
 # Of the distance between layers: what differs by less from its neighbour goes on as a slope. Near a larger step, which
@@ -59,25 +61,30 @@ class Layout:
 
     Attributes
     ----------
-    shares : dict of ndarray, shape (rows, columns)
-        Of each layer in the light where it is seen; of layers that have some.
+    seen : ndarray, shape (rows, columns)
+        Number of the layer at which light is seen, or between which two.
     place : ndarray, shape (rows, columns)
-        Number of the layer that things lie in, or between.
+        Of that in which things lie.
     edges : tuple of Edge
         Where something hides another thing, the farthest first.
     apart : float
         By how much magnifications differ at an edge, at most.
-    near, behind : dict of ndarray, shape (rows, columns)
-        Of each layer in what the near thing adds to the light that goes on, and in that light; none where nothing
-        hides.
+    behind : ndarray, shape (rows, columns), optional
+        At which the light lies that goes on where something hides it; none where nothing hides, or where what lies
+        behind is seen in crossed cells only.
+    hides : bool
+        Whether anything does.
+    cuts : dict
+        What `uneven` has in common for all light, by its reach.
     """
 
-    shares: ByLayer
+    seen: Array
     place: Array
     edges: tuple[Edge, ...] = ()
     apart: float = 0.0
-    near: ByLayer = field(default_factory=dict)
-    behind: ByLayer = field(default_factory=dict)
+    behind: Array | None = None
+    hides: bool = False
+    cuts: dict[int, tuple[tuple[_Cut, ...], Array]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
@@ -87,11 +94,10 @@ class Layout:
         them, and what is near adds all that the rest of them lacks.
         """
         if len(layers) == 1:
-            return cls(shares_by_layer(magnification, layers), np.zeros_like(magnification))
-        place = layer_places(layers, magnification)
-        shares = _shares_at(place)
+            return cls(nowhere := np.zeros_like(magnification), nowhere)
+        seen = place = layer_places(layers, magnification)
         if not _may_step(place):
-            return cls(shares, place)
+            return cls(seen, place)
         least = _least_steps(place)
         for _ in range(_MOST_CROSSED):
             nearest = most_around(place, 3)
@@ -105,36 +111,65 @@ class Layout:
             depth[here] = edge.far.filled(magnification)[here]
             edges.append(edge)
         if not edges:  # what lies behind is seen in crossed cells only
-            return cls(shares, place, near=_shares_at(place))
+            return cls(seen, place, hides=True)
         apart = largest * (layers[1] - layers[0])
-        return cls(shares, place, tuple(edges), apart, _shares_at(place), shares_by_layer(depth, layers))
+        return cls(seen, place, tuple(edges), apart, layer_places(layers, depth), hides=True)
 
-    def going_on(self, values: Array) -> ByLayer | None:
-        """As `as_seen`, what lies behind laid out to go on; None where nothing hides another thing."""
-        if not self.near:
+    def going_on(self, values: Array) -> Laid | None:
+        """Light where it is seen, what lies behind laid out to go on; None where nothing hides another thing."""
+        if not self.hides:
             return None
+        if self.behind is None:
+            return ((values, self.place),)
         light = np.zeros_like(values)
         for edge in self.edges:
             light[edge.near] = edge.far.filled(values)[edge.near]
-        found = as_seen(values - light, self.near)
-        for number, share in self.behind.items():
-            found[number] = found.get(number, 0.0) + light * share
-        return dict(sorted(found.items()))
+        return (values - light, self.place), (light, self.behind)
 
-    def uneven(self, values: Array, reach: int) -> tuple[ByLayer, ByLayer]:
+    def uneven(self, values: Array, reach: int) -> tuple[Laid, Laid]:
         """What lies behind, within so many cells of an edge, less its mean there: as far as it is, and as near.
 
         An edge cuts some of the opening off from such light, and blurs it as neither depth does.
         """
-        found, size = np.zeros_like(values), 2 * reach + 1
-        for edge in self.edges:
-            part = _box(edge.step > 0, 2 * reach)
-            known, light = edge.far.known[part], values[part]
-            share = most_around(edge.step[part], size)
-            cut = known & (share > 0)
-            sums, counts = (sum_around(each, size)[cut] for each in (np.where(known, light, 0.0), known.astype(float)))
-            found[part][cut] += share[cut] * (light[cut] - sums / counts)
-        return as_seen(found, self.shares), as_seen(found, _shares_at(most_around(self.place, size)))
+        if reach not in self.cuts:
+            around = tuple(_Cut.of(edge, reach) for edge in self.edges)
+            self.cuts[reach] = around, most_around(self.place, 2 * reach + 1)
+        cuts, near = self.cuts[reach]
+        found = np.zeros_like(values)
+        for cut in cuts:
+            light = values[cut.part]
+            sums = sum_around(np.where(cut.known, light, 0.0), 2 * reach + 1)[cut.where]
+            found[cut.part][cut.where] += cut.share * (light[cut.where] - sums / cut.counts)
+        return ((found, self.seen),), ((found, near),)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cut:
+    """Where an edge cuts light that comes from behind.
+
+    Attributes
+    ----------
+    part : tuple of slice
+        The rectangle around it.
+    known, where : ndarray of bool, shape (rows, columns)
+        Where in that what lies behind is seen, and where it is cut.
+    share, counts : ndarray, shape (cut,)
+        By how much, and how many cells around show what lies behind.
+    """
+
+    part: tuple[slice, slice]
+    known: Flags
+    where: Flags
+    share: Array
+    counts: Array
+
+    @classmethod
+    def of(cls, edge: Edge, reach: int) -> _Cut:
+        """Within so many cells of an edge."""
+        part, size = _box(edge.step > 0, 2 * reach), 2 * reach + 1
+        known, share = edge.far.known[part], most_around(edge.step[part], size)
+        where = known & (share > 0)
+        return cls(part, known, where, share[where], sum_around(known.astype(float), size)[where])
 
 
 def _box(flags: Flags, around: int) -> tuple[slice, slice]:
@@ -189,20 +224,19 @@ def _parted(place: Array, between: list[float]) -> NDArray[np.intp]:
     return number
 
 
-def shares_by_layer(magnification: Array, layers: tuple[float, ...]) -> ByLayer:
-    """Shares of those layers that have any: a tile shows one or two depths of a scene."""
-    if len(layers) == 1:
-        return {0: np.ones_like(magnification)}
-    return _shares_at(layer_places(layers, magnification))
+def places_seen(magnification: Array | None, layers: tuple[float, ...]) -> Array | None:
+    """Numbers of the layers that light of some magnifications lies at or between; of one layer none are told."""
+    return None if magnification is None or len(layers) == 1 else layer_places(layers, magnification)
 
 
-def _shares_at(places: Array) -> ByLayer:
-    return {number: layer_share(places, number) for number in layers_met(places)}
-
-
-def as_seen(values: Array, shares: ByLayer) -> ByLayer:
-    """Light of each layer where it is seen, of values of shape (rows, columns)."""
-    return {number: values * share for number, share in shares.items()}
+def by_layer(laid: Laid) -> ByLayer:
+    """Light of each layer, of those that may have any: a tile shows one or two depths of a scene."""
+    found = ByLayer()
+    for values, places in laid:
+        for number in layers_met(places):
+            light = values if places is None else values * layer_share(places, number)
+            found[number] = found[number] + light if number in found else light
+    return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

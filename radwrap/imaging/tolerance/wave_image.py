@@ -15,7 +15,7 @@ from radwrap.imaging.response.sensor import unclipped_gray
 from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.bounds import NOTHING, Bounded, mean_square_of_differences
 from radwrap.imaging.tolerance.replicates import contrasts
-from radwrap.imaging.tolerance.wave_parts import WaveParts
+from radwrap.imaging.tolerance.wave_parts import Single, WaveParts
 from radwrap.scene.camera import Sensor
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ def _noise_of(
     return mean_square_of_differences(samples, (block, block)), size
 
 
-def _beside_own(own: tuple[Array, Array], cells: Array, made: Array, gray: Gray) -> float:
+def _beside_own(own: tuple[Array, Array], cells: Array | Single, made: Array, gray: Gray) -> float:
     """What cells of waves add to the mean square that the image's own change by themselves.
 
     Nothing where the sum is less: what estimates of both seem to cancel makes no bound smaller.
@@ -120,12 +120,12 @@ def _beside_own(own: tuple[Array, Array], cells: Array, made: Array, gray: Gray)
     square = 0.0
     for strip in strips_of(*made.shape):
         exact = gray(made[strip])
-        alone, both = (gray(made[strip] + each[strip]) - exact for each in (own[0], own[1] + cells))
+        alone, both = (gray(made[strip] + each) - exact for each in (own[0][strip], own[1][strip] + cells[strip]))
         square += float((both**2).sum()) - float((alone**2).sum())
     return max(square, 0.0) / made.size
 
 
-def _common_square(lasting: Array, made: Array, gray: Gray) -> float:
+def _common_square(lasting: Array | Single, made: Array, gray: Gray) -> float:
     """Mean square of what independent replicates have in common, 0 at least: their products hold no noise."""
     number, products = len(lasting), 0.0
     for strip in strips_of(*made.shape):
@@ -135,7 +135,7 @@ def _common_square(lasting: Array, made: Array, gray: Gray) -> float:
 
 
 def lasting_wave_error(
-    cells: Array, beyond: Array, made: Array, gray: Gray, *, noise: Array | float = 0.0
+    cells: Array | Single, beyond: Array | Single, made: Array, gray: Gray, *, noise: Array | float = 0.0
 ) -> WaveError:
     """As `wave_error`, of what more rays do not make smaller; the quantile holds a noise of each pixel [gray level]."""
     whole, square, tails = np.broadcast_to(noise, made.shape).copy(), 0.0, 0.0

@@ -11,12 +11,11 @@ sources; the very same rays then tell what waves add to the light of each.
 from __future__ import annotations
 
 import itertools
-import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,23 +27,21 @@ from radwrap.imaging.methods.kernel import (
     coarsened,
     decide_tile,
     is_smooth,
-    lattice,
     layer_places,
 )
-from radwrap.imaging.methods.transforms import correlated, fast_length, spectrum_of
-from radwrap.imaging.optics.lens_field import MIXED_SHARE, Place
+from radwrap.imaging.methods.transforms import Room
 from radwrap.imaging.optics.view import View
 from radwrap.imaging.tolerance.own_rays import OwnRays, traced_beside
-from radwrap.imaging.tolerance.wave_behind import ByLayer, Layout, as_seen, shares_by_layer
+from radwrap.imaging.tolerance.wave_behind import Layout, places_seen
 from radwrap.imaging.tolerance.wave_far import far_change, far_light
+from radwrap.imaging.tolerance.wave_gather import gathered, kept_transforms
 from radwrap.imaging.tolerance.wave_plan import WavePlan, bare, known_to
-from radwrap.kept import Kept, of_kept
+from radwrap.kept import Kept
 from radwrap.random_streams import Rendering
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+Single = NDArray[np.float32]
 Rect = tuple[int, int, int, int]
-Part = tuple[slice, slice]  # rows and columns
 Job = Callable[[], None]
 Changed = tuple[Array, Array, Array]  # see `wave_tile`
 Changes = Callable[[int], Iterator[tuple[int, Changed]]]  # of a tile: which replicate, and what its waves add
@@ -56,13 +53,11 @@ Changes = Callable[[int], Iterator[tuple[int, Changed]]]  # of a tile: which rep
 # of it, and 1.8 by renders.
 OF_HIDING: Final = 0.06
 OF_UNEVEN: Final = 2.0
-_MOST_KEPT: Final = 1 << 28  # byte of transforms
-_NO_LIGHT: Final = 1e-9  # of the brightest layer: what rounding leaves of a flat face in the layer beside its own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaveParts:
-    """What waves add to the light of one image.
+    """What waves add to the light of one image, and in single precision how far that may be off.
 
     Attributes
     ----------
@@ -84,9 +79,9 @@ class WaveParts:
     """
 
     change: Array
-    cells: Array
-    lasting: Array
-    beyond: Array
+    cells: Single
+    lasting: Single
+    beyond: Single
     rays: int
     sampling: EdgeSampling
     by_own_rays: bool = False
@@ -127,7 +122,7 @@ def wave_parts(
     plan = plans[0][1]
     sensor = plan.kernel.camera.sensor
     change = np.zeros((replicates, sensor.rows, sensor.columns))
-    cells, lasting = np.zeros((sensor.rows, sensor.columns)), np.zeros_like(change)
+    cells, lasting = np.zeros(change.shape[1:], dtype=np.float32), np.zeros(change.shape, dtype=np.float32)
     counted, guard = plan.rays, threading.Lock()
 
     def count(rays: int) -> None:
@@ -154,7 +149,7 @@ def wave_parts(
         return sampling
 
     sampling = add_near()
-    beyond = np.zeros((replicates, sensor.rows, sensor.columns))
+    beyond = np.zeros(change.shape, dtype=np.float32)
 
     def add_far(replicate: int) -> None:
         on_sensor = None if own is None else partial(own.means, replicate=replicate)
@@ -165,8 +160,7 @@ def wave_parts(
             beyond[replicate] += farther / replicates
 
     run([partial(add_far, replicate) for replicate in range(replicates)])
-    beyond = beyond.sum(axis=0)
-    return WaveParts(change, cells, lasting, beyond, counted, sampling, own is not None)
+    return WaveParts(change, cells, lasting, beyond.sum(axis=0), counted, sampling, own is not None)
 
 
 def _anew(
@@ -325,36 +319,30 @@ def waves_of(
 
     A layout that several images share says what hides, else it is found in this one. Yields as `wave_tile`.
     """
-    plan = plans[0]
+    plan, room = plans[0], Room()
     place, cell = plan.kernel.tiles[tile], plan.kernel.grid.cell
     layers = plan.kernel.layers
-    fine_shares, rough_shares = (
-        None if image.magnification is None else shares_by_layer(image.magnification, layers)
-        for image in (central, coarser)
-    )
+    fine_places, rough_places = (places_seen(image.magnification, layers) for image in (central, coarser))
     if layout is None and central.magnification is not None:
         layout = Layout.of(central.magnification, layers)
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
         share = GRID_SHARE if cell * plan.pitch <= of_source.waves.blur else 1.0
-        seen, rough_seen = (
-            {0: light} if shares is None else as_seen(light, shares)
-            for shares, light in ((fine_shares, fine), (rough_shares, rough))
-        )
+        seen, rough_seen = ((fine, fine_places),), ((rough, rough_places),)
         behind = None if layout is None else layout.going_on(fine)
-        found, of_field = _gathered(of_source, central, seen, cell, place, transforms=transforms)
+        found, of_field = gathered(of_source, central, seen, cell, place, transforms=transforms, room=room)
         seen_only = found
         if behind is not None:
-            found, of_field = _gathered(of_source, central, behind, cell, place, transforms=transforms)
+            found, of_field = gathered(of_source, central, behind, cell, place, transforms=transforms, room=room)
         of_cells = share * (
-            _gathered(of_source, coarser, rough_seen, 2 * cell, place, transforms=transforms)[0] - seen_only
+            gathered(of_source, coarser, rough_seen, 2 * cell, place, transforms=transforms, room=room)[0] - seen_only
         )
         of_hiding = OF_HIDING * (found - seen_only)
         if layout is not None and layout.edges:
             reach, by_rays = of_source.cut_by_edge(layout.apart)
             far, near = (
-                _gathered(of_source, central, light, cell, place, transforms=transforms)[0]
+                gathered(of_source, central, light, cell, place, transforms=transforms, room=room)[0]
                 for light in layout.uneven(fine, reach)
             )
             of_hiding += OF_UNEVEN * by_rays * np.copysign(np.hypot(far, near), far)
@@ -374,101 +362,3 @@ def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator
         (of_field,) = of_source.weights.lens_field.places
         sums = [float(each.sum()) for each in of_source.weights.near(cell, (0, 0), of_field)]
         yield np.interp(at_layers, np.arange(len(sums)), sums) * light, np.zeros(m.shape), np.zeros(m.shape)
-
-
-def kept_transforms() -> Kept:
-    """Room for the transforms of what waves do to the light of each layer.
-
-    Tiles of one size share them, all replicates do, sources of one wavelength, and light that is laid out in two ways.
-    """
-    return Kept(_MOST_KEPT)
-
-
-def lit_layers(light: ByLayer) -> ByLayer:
-    """Those layers that have light."""
-    brightest = {number: max(float(one.max()), -float(one.min())) for number, one in light.items()}
-    least = _NO_LIGHT * max(brightest.values())
-    return {number: light[number] for number, most in brightest.items() if most > least}
-
-
-def _gathered(
-    plan: WavePlan,
-    central: CentralImage,
-    light: ByLayer,
-    cell: float,
-    place: Rect,
-    *,
-    transforms: Kept,
-) -> tuple[Array, Array]:
-    """What waves add to each pixel of a tile, by the light of each layer; and how far a mixture of places is off."""
-    weights = plan.weights
-    found, of_coarser = np.zeros((2, place[1] - place[0], place[3] - place[2]))
-    phases = [(row, column) for row, column in np.ndindex(max(1, round(cell)), max(1, round(cell)))]
-    light = lit_layers(light)
-    if not light:
-        return found, of_coarser
-
-    def transformed(what: tuple[float, tuple[int, int], tuple[int, int], Place, int]) -> Complex:
-        return of_kept(
-            transforms, lambda: (id(weights), *what), lambda: weights.laid_out(*what), lambda one: one.nbytes
-        )
-
-    rows, columns = central.values.shape[-2:]
-    whole = (slice(0, rows), slice(0, columns))
-    spectra, part = list[Complex](), (slice(0, 0), slice(0, 0))
-    for of_field, share, coarser in weights.lens_field.shares(place):
-        reach = np.max([weights.near(cell, phase, of_field)[0].shape for phase in phases], axis=0) // 2
-        cells = _around(share + coarser, central, cell, place, reach)
-        # Light has to be transformed anew for a part of it.
-        if (len(light) + 1) * _number(cells) >= _number(whole):
-            cells = whole
-        size = cells[0].stop - cells[0].start, cells[1].stop - cells[1].start
-        shape = fast_length(size[0]), fast_length(size[1])
-        if cells != part:
-            spectra, part = [spectrum_of(one[cells], shape) for one in light.values()], cells
-        for phase in phases:
-            field = correlated(spectra, [transformed((cell, shape, phase, of_field, layer)) for layer in light], shape)
-            pixels = lattice(cell, place, phase)
-            row, column = (
-                np.floor(at / cell).astype(int) - first - one.start
-                for at, first, one in zip(pixels, central.first, cells, strict=True)
-            )
-            inside = (row >= 0) & (row < size[0]), (column >= 0) & (column < size[1])
-            at = _crossing(
-                *(one[some] - begin for one, some, begin in zip(pixels, inside, (place[0], place[2]), strict=True))
-            )
-            values = field[_crossing(row[inside[0]], column[inside[1]])]
-            found[at] += share[at] * values
-            of_coarser[at] += coarser[at] * values
-    return found, MIXED_SHARE * np.abs(found - of_coarser)
-
-
-def _crossing(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> tuple[Any, ...]:
-    """Index of where rows and columns cross; slices where both lie evenly, as these need no copy of an image."""
-    down, across = _evenly(rows), _evenly(columns)
-    return np.ix_(rows, columns) if down is None or across is None else (down, across)
-
-
-def _evenly(numbers: NDArray[np.intp]) -> slice | None:
-    """The slice of numbers that ascend by equal steps, if they do."""
-    if len(numbers) < 2:
-        return None
-    first, step = int(numbers[0]), int(numbers[1] - numbers[0])
-    stop = first + step * len(numbers)
-    even = step > 0 and np.array_equal(numbers, np.arange(first, stop, step))
-    return slice(first, stop, step) if even else None
-
-
-def _number(cells: Part) -> int:
-    return math.prod(int(one.stop - one.start) for one in cells)
-
-
-def _around(counts: Array, central: CentralImage, cell: float, place: Rect, reach: NDArray[np.intp]) -> Part:
-    """Cells of a tile that pixels which count gather from."""
-    found = []
-    for axis, begin in enumerate((place[0], place[2])):
-        used = np.flatnonzero(counts.any(axis=1 - axis)) + begin
-        low, high = (math.floor(pixel / cell) - central.first[axis] for pixel in (used[0], used[-1]))
-        least, most = max(0, low - int(reach[axis])), min(central.values.shape[axis - 2], high + int(reach[axis]) + 1)
-        found.append(slice(least, most))
-    return found[0], found[1]

@@ -121,12 +121,24 @@ class WaveWeights:
                 found[cell, phase, image].append(self.of_layer(layer, cell, phase, image, passes))
         return {key: (of_layers, _even_out(of_layers, self._rim(*key[:2]))) for key, of_layers in found.items()}
 
-    def laid_out(
-        self, cell: float, shape: tuple[int, int], phase: tuple[int, int], place: Place, layer: int
+    def laid_out(  # noqa: PLR0917  (what is kept is known by all of it)
+        self,
+        cell: float,
+        shape: tuple[int, int],
+        phase: tuple[int, int],
+        place: Place,
+        layer: float,
+        shift: tuple[int, int],
     ) -> Complex:
-        """Conjugate of their transform in a field of a shape, of the layer of a number."""
-        near = self.near(cell, phase, place)[layer]
-        corner = (-(near.shape[0] // 2), -(near.shape[1] // 2))
+        """Conjugate of their transform in a field of a shape, of the layer of a number, or of a place between two.
+
+        What they gather then lies before the pixel by a shift [cell].
+        """
+        each, number = self.near(cell, phase, place), math.floor(layer)
+        near, share = each[number], layer - number
+        if share:
+            near = (1 - share) * near + share * each[number + 1]
+        corner = (shift[0] - near.shape[0] // 2, shift[1] - near.shape[1] // 2)
         found = spectrum_of(laid_out(Footprint(corner, near), shape), shape)
         return np.conj(found, out=found)
 
