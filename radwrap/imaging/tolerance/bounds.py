@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from radwrap.imaging.response.strips import strips_of
 from radwrap.random_streams import generator
 
 _NORMAL_QUANTILE: Final = 1.959963985  # of 0.975
@@ -190,7 +191,9 @@ def mean_square_of_differences(differences: NDArray[np.float64], block: tuple[in
     bounded, and not what it would be in the mean: over what is known of that by
     all realisations it is distributed as F; below three degrees of freedom the mean itself is bounded.
     """
-    square = (differences**2).mean(axis=0)
+    square: NDArray[np.float64] = np.empty(differences.shape[1:])
+    for strip in strips_of(*square.shape):
+        np.mean(differences[:, strip] ** 2, axis=0, out=square[strip])
     rows = np.arange(0, square.shape[0], max(1, block[0]))
     columns = np.arange(0, square.shape[1], max(1, block[1]))
     sums = np.add.reduceat(np.add.reduceat(square, rows, axis=0), columns, axis=1)

@@ -15,6 +15,7 @@ from radwrap.imaging.methods.transforms import correlated, fast_length, spectrum
 from radwrap.imaging.optics.guard_band import BLOCKS, FEWEST_BLOCK
 from radwrap.imaging.optics.view import View, known_or_traced
 from radwrap.imaging.optics.waves import rim
+from radwrap.imaging.response.strips import strips_of
 from radwrap.imaging.tolerance.wave_plan import FAR_STRATA, WavePlan, bare, known_to
 from radwrap.random_streams import Rendering, generator
 from radwrap.scene.camera import Aperture, Sensor
@@ -214,12 +215,16 @@ def far_change(plan: WavePlan, around: Array) -> tuple[Array, Array]:
     """
     sensor, share = plan.kernel.camera.sensor, plan.weights.share
     rings = _rings(plan)
-    mean = around
-    for axis, size in enumerate((sensor.rows, sensor.columns)):
-        mean = _interpolated(mean, (np.arange(size, dtype=np.float64) + 0.5) / rings[0].block - 0.5, axis)
+    rows, columns = (
+        (np.arange(size, dtype=np.float64) + 0.5) / rings[0].block - 0.5 for size in (sensor.rows, sensor.columns)
+    )
     off = math.hypot(OF_FAR * share, plan.weights.share_spread)
     beyond = min(plan.waves.tail(rings[-1].far * plan.pitch), abs(share)) + off
-    return share * mean, beyond * mean
+    found = np.empty((2, sensor.rows, sensor.columns))
+    for strip in strips_of(sensor.rows, sensor.columns):
+        mean = _interpolated(_interpolated(around, rows[strip], 0), columns, 1)
+        found[0, strip], found[1, strip] = share * mean, beyond * mean
+    return found[0], found[1]
 
 
 def _interpolated(values: Array, places: Array, axis: int) -> Array:
