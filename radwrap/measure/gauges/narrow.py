@@ -170,7 +170,7 @@ def _of_one_blur(fit: Contour) -> Contour:
 def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Contour]) -> NarrowFit:
     for number in range(_TRIES):
         fit = fitted(shape, blur)
-        if not shape.closed and shape.slopes.size == 0:
+        if shape.slopes.size == 0:
             shape = replace(shape, start=fit.parameters, slopes=_slopes(shape, fit))
             fit = fitted(shape, fit.blur)
         width = float(fit.parameters[-1])
@@ -204,10 +204,13 @@ def _fit_narrow(shape: Shape, blur: float, fitted: Callable[[Shape, float], Cont
 
 
 def _slopes(shape: Shape, fit: Contour) -> Array:
-    """How light may change across a straight thing, see `Shape`: the middle is off by blur^2 times a slope left out."""
-    if fit.parameters[-1] > _PLATEAU * fit.blur:
+    """How light may change across a thing, see `Shape`: the middle is off by blur^2 times a slope left out."""
+    if not shape.closed and fit.parameters[-1] > _PLATEAU * fit.blur:
         return np.eye(2)
-    outside, between = _levels(_best(shape, fit.strip, fit.parameters, fit.blur))
+    state = _best(shape, fit.strip, fit.parameters, fit.blur)
+    outside, between = _levels(state)
+    beyond = between - float((state.terms.slow @ state.terms.parts(state.levels)[2]).mean())
+    outside = (outside + beyond) / 2
     shares = np.array([[outside], [between - outside]])
     return np.asarray(shares / np.abs(shares).max())
 

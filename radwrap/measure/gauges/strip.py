@@ -110,6 +110,8 @@ class Terms:
         Of two rims half of their distance [px], else 0.
     slopes : ndarray, shape (2, m)
         Of the shape.
+    steepness : ndarray, shape (n, ways)
+        Functions along the contour, by which slopes from one of two rims to the other change.
     by_disc : sequence of sequence of Step
         What each pixel sees of each rim by each disc of the blur.
     seen : sequence of Step
@@ -123,6 +125,7 @@ class Terms:
     slow: Array
     half: Array
     slopes: Array
+    steepness: Array
     by_disc: Sequence[Sequence[Step]]
     seen: Sequence[Step]
     matrix: Array
@@ -144,11 +147,11 @@ class Terms:
         parts = self.parts(levels)
         if len(self.seen) == 1:
             return [(self.wide @ parts[2], self.slow @ parts[3])]
-        slope, first, second = float(self.slopes[1] @ parts[3]), self.slow @ parts[1], self.slow @ parts[2]
-        return [
-            (first - slope * self.half, np.full_like(first, slope)),
-            (second + slope * self.half, np.full_like(first, -slope)),
-        ]
+        slope = self.steepness @ (
+            parts[3].reshape(self.steepness.shape[1], -1 if self.slopes.size else 0) @ self.slopes[1]
+        )
+        first, second = self.slow @ parts[1], self.slow @ parts[2]
+        return [(first - slope * self.half, slope), (second + slope * self.half, -slope)]
 
     def by_shares(self, levels: Array) -> list[Array]:
         """Derivatives of the light by the shares of the other discs."""
@@ -208,7 +211,7 @@ def terms_of(shape: Shape, rims: Sequence[Rim], blur: Blur, aspect: float) -> Te
     wide, slow = _bases(shape, rims)
     half = (rims[0].distance + rims[1].distance) / 2 if len(rims) > 1 else np.zeros(len(slow))
     matrix = _matrix(shape, wide, slow, rims, [(rim.step, rim.ramp) for rim in seen])
-    return Terms(wide, slow, half, shape.slopes, by_disc, seen, matrix)
+    return Terms(wide, slow, half, shape.slopes, _steepness(shape, slow), by_disc, seen, matrix)
 
 
 def _matrix(shape: Shape, wide: Array, slow: Array, rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
@@ -217,7 +220,13 @@ def _matrix(shape: Shape, wide: Array, slow: Array, rims: Sequence[Rim], seen: S
         parts = [wide, slow * rims[0].distance[:, None], wide * step[:, None], slow * ramp[:, None]]
         return np.concatenate(parts, axis=1)
     parts = [wide, slow * step[:, None], slow * (others[0][0] - 1)[:, None]]
-    return np.concatenate([*parts, slopes_of(rims, seen) @ shape.slopes], axis=1)
+    ways = slopes_of(rims, seen) @ shape.slopes
+    return np.concatenate([*parts, *(ways * one for one in _steepness(shape, slow).T[:, :, None])], axis=1)
+
+
+def _steepness(shape: Shape, slow: Array) -> Array:
+    """Across a straight thing light changes alike everywhere; across a ring as the cosine, as it does over a plane."""
+    return slow[:, 1:] if shape.closed else slow[:, :1]
 
 
 def slopes_of(rims: Sequence[Rim], seen: Sequence[tuple[Array, Array]]) -> Array:
