@@ -6,6 +6,8 @@ where the compiled tracer is in use.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,7 @@ from radwrap.tracers.compiled.compiler import compiled
 Array = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
-_LEAST = 1e-9  # share of a layer, what rounding leaves
+_LEAST: Final = 1e-9  # share of a layer, what rounding leaves
 
 
 def in_phases(near: Array, step: int) -> Array:
@@ -103,9 +105,7 @@ def sorted_out(  # noqa: PLR0917  (compiled functions take their arrays one by o
             place = places[i, j]
             at = _even_at(place, even, near)
             if at >= 0:
-                sheet = to_even[at]
-                sheets[sheet, i, j] += value
-                spans[sheet, 0], spans[sheet, 1] = min(spans[sheet, 0], i), max(spans[sheet, 1], i + 1)
+                _put(value, sheets[to_even[at]], spans[to_even[at]], i, j)
                 continue
             number = int(place)
             share = place - number
@@ -115,12 +115,17 @@ def sorted_out(  # noqa: PLR0917  (compiled functions take their arrays one by o
                     continue
                 sheet = to_layers[number + k]
                 if sheet >= 0:
-                    sheets[sheet, i, j] += value * part
-                    spans[sheet, 0], spans[sheet, 1] = min(spans[sheet, 0], i), max(spans[sheet, 1], i + 1)
+                    _put(value * part, sheets[sheet], spans[sheet], i, j)
                 else:
                     rows[found], columns[found], layers[found], light[found] = i, j, number + k, value * part
                     found += 1
     return found
+
+
+@compiled
+def _put(light: float, sheet: Array, span: Whole, i: int, j: int) -> None:
+    sheet[i, j] += light
+    span[0], span[1] = min(span[0], i), max(span[1], i + 1)
 
 
 @compiled

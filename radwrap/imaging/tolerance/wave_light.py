@@ -123,9 +123,8 @@ def parted(laid: Laid, layers: int, few: int, room: Room) -> Parted:
     whole = of_layers > few
     number = np.floor(even).astype(np.intp)
     alone = (of_even > 0) & ~(whole[number] & (whole[number + 1] | (even == number)))
-    if (merged := ~alone & (of_even > 0)).any():
-        even = even[~merged]
-        alone = alone[~merged]
+    kept = alone | (of_even == 0)
+    even, alone = even[kept], alone[kept]
     place_of = np.concatenate([np.flatnonzero(whole).astype(np.float64), even[alone]])
     to_layers = np.where(whole, np.cumsum(whole) - 1, -1)
     to_even = np.where(alone, np.count_nonzero(whole) + np.cumsum(alone) - 1, -1)

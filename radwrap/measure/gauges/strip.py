@@ -147,9 +147,8 @@ class Terms:
         parts = self.parts(levels)
         if len(self.seen) == 1:
             return [(self.wide @ parts[2], self.slow @ parts[3])]
-        slope = self.steepness @ (
-            parts[3].reshape(self.steepness.shape[1], -1 if self.slopes.size else 0) @ self.slopes[1]
-        )
+        each = parts[3].reshape(self.steepness.shape[1], self.slopes.shape[1])
+        slope = self.steepness @ (each @ self.slopes[1])
         first, second = self.slow @ parts[1], self.slow @ parts[2]
         return [(first - slope * self.half, slope), (second + slope * self.half, -slope)]
 

@@ -56,6 +56,12 @@ def _four(a: float, b: float, c: float, d: float, x: float, x2: float) -> float:
 
 
 @compiled
+def angle_between(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> float:
+    """Angle [rad] between unit vectors."""
+    return angle_of(((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) / 4)
+
+
+@compiled
 def angle_of(half_sine2: float) -> float:
     """Angle [rad] between unit vectors, from sin^2 of its half: a quarter of the square of the chord between them.
 

@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from radwrap.scene.patterns.partition import MARK
-from radwrap.tracers.compiled.arithmetic import angle_of, exponential
+from radwrap.tracers.compiled.arithmetic import angle_between, angle_of, exponential
 from radwrap.tracers.compiled.arrays import (
     BEADS,
     BRUSHED,
@@ -33,7 +33,7 @@ LEAST_COSINE: Final = 1e-6
 _LEAST_LOBE: Final = 1e-6
 # In place of smaller cosines in a table's projection.
 _LEAST_PROJECTION: Final = 1e-9
-LEAST_SINES: Final = 1e-12  # of the squares, where an azimuth means nothing
+_LEAST_SINES: Final = 1e-12  # of the squares, where an azimuth means nothing
 
 
 @compiled
@@ -161,14 +161,19 @@ def reflected(
     eye = nx * vx + ny * vy + nz * vz
     if kind in (COEFFICIENTS, BEADS):
         projection = max(light, _LEAST_PROJECTION) * max(eye, _LEAST_PROJECTION)
-        alpha = angle_of(((lx - vx) ** 2 + (ly - vy) ** 2 + (lz - vz) ** 2) / 4)
-        beta = angle_of(((lx - nx) ** 2 + (ly - ny) ** 2 + (lz - nz) ** 2) / 4)
+        alpha, beta = angle_between(lx, ly, lz, vx, vy, vz), angle_between(lx, ly, lz, nx, ny, nz)
         return total + cover.weight * light * _coefficient(cover, tables, alpha, beta) / projection
-    incidence = angle_of(((lx - nx) ** 2 + (ly - ny) ** 2 + (lz - nz) ** 2) / 4)
-    viewing = angle_of(((vx - nx) ** 2 + (vy - ny) ** 2 + (vz - nz) ** 2) / 4)
-    sines = math.sqrt(max(LEAST_SINES, (1 - light * light) * (1 - eye * eye)))
-    cosine = min(1.0, max(-1.0, (lx * vx + ly * vy + lz * vz - light * eye) / sines))
-    return total + cover.weight * light * _measured(cover, tables, incidence, viewing, angle_of((1 - cosine) / 2))
+    incidence, viewing = angle_between(lx, ly, lz, nx, ny, nz), angle_between(vx, vy, vz, nx, ny, nz)
+    turn = turn_between(light, eye, lx * vx + ly * vy + lz * vz)
+    return total + cover.weight * light * _measured(cover, tables, incidence, viewing, turn)
+
+
+@compiled
+def turn_between(light: float, eye: float, both: float) -> float:
+    """Azimuth [rad] of the light from the eye about the normal, by their cosines to it and to each other."""
+    sines = math.sqrt(max(_LEAST_SINES, (1 - light * light) * (1 - eye * eye)))
+    cosine = min(1.0, max(-1.0, (both - light * eye) / sines))
+    return angle_of((1 - cosine) / 2)
 
 
 @compiled

@@ -18,7 +18,7 @@ from radwrap.tracers.compiled.shadows import clear_between
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_points import mixed, spread_point
 from radwrap.tracers.compiled.wide_shadow import is_hidden
-from radwrap.tracers.compiled.wide_shape import point_on
+from radwrap.tracers.compiled.wide_shape import ball_around, point_on
 
 # Cells along each coordinate, and all cells: those of 1, 2 x 2, 4 x 4 and 8 x 8 of them.
 CELLS: Final = 8
@@ -207,8 +207,7 @@ def lit_cells(light: Wide, number: int, cells: Clusters, p: Place) -> int:
     cosine, sine = cosine_and_sine_of_turn(light.reach / (2 * math.pi))
     for k in range(CELLS * CELLS):
         box = cells[first + k]
-        x, y, z = (box.x0 + box.x1) / 2 - p[0], (box.y0 + box.y1) / 2 - p[1], (box.z0 + box.z1) / 2 - p[2]
-        half = math.sqrt((box.x1 - box.x0) ** 2 + (box.y1 - box.y0) ** 2 + (box.z1 - box.z0) ** 2) / 2
+        (x, y, z), half = ball_around(box, p)
         high = -(x * light.nx + y * light.ny + z * light.nz)
         aside = math.sqrt(max(x * x + y * y + z * z - high * high, 0.0))
         # How far the ball about the cell is outside of the cone in which light reaches the point.

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from radwrap.tracers.compiled.arithmetic import angle_of
+from radwrap.tracers.compiled.arithmetic import angle_between, angle_of
 from radwrap.tracers.compiled.arrays import (
     BEADS,
     BRDF,
@@ -25,10 +25,10 @@ from radwrap.tracers.compiled.arrays import (
     Wide,
 )
 from radwrap.tracers.compiled.compiler import compiled
-from radwrap.tracers.compiled.covers import LEAST_SINES
+from radwrap.tracers.compiled.covers import turn_between
 from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import sent_by
-from radwrap.tracers.compiled.wide_shape import may_light
+from radwrap.tracers.compiled.wide_shape import ball_around, may_light
 
 # Nodes along a light; around a round one twice as many.
 _FEWEST: Final = 4
@@ -90,36 +90,23 @@ def _has_corner(light: Wide, cover: Cover, tables: Floats, p: Place, n: Place, v
     """Whether a table may bend within a light as it is seen: it is straight from node to node of its angles."""
     if cover.kind not in (COEFFICIENTS, BEADS, BRDF):
         return False
-    d, sine = _ball(light, p)
-    if sine >= 1:
+    (x, y, z), reach = ball_around(light, p)
+    away = math.sqrt(x * x + y * y + z * z)
+    if reach >= away:
         return True
+    d, sine = (x / away, y / away, z / away), reach / away
     first = cover.table
     second = first + int(cover.a)
     third = second + int(cover.b)
     half = _angle_of_sine(sine)
-    observation, incidence = _angle_between(d, v), _angle_between(d, n)
+    observation = angle_between(d[0], d[1], d[2], v[0], v[1], v[2])
+    incidence = angle_between(d[0], d[1], d[2], n[0], n[1], n[2])
     if cover.kind == BEADS:
         return _bends(tables, first, second, observation, half)
     if cover.kind == COEFFICIENTS:
         return _bends(tables, first, second, observation, half) or _bends(tables, second, third, incidence, half)
     last = third + int(cover.c)
     return _bends(tables, first, second, incidence, half) or _turns(tables, third, last, n, v, d, sine)
-
-
-@compiled
-def _ball(light: Wide, p: Place) -> tuple[Place, float]:
-    """Unit vector to the middle of a light's box, and the sine of the angle of a ball around the box; 1 from within."""
-    x, y, z = (light.x0 + light.x1) / 2 - p[0], (light.y0 + light.y1) / 2 - p[1], (light.z0 + light.z1) / 2 - p[2]
-    away = math.sqrt(x * x + y * y + z * z)
-    reach = math.sqrt((light.x1 - light.x0) ** 2 + (light.y1 - light.y0) ** 2 + (light.z1 - light.z0) ** 2) / 2
-    if reach >= away:
-        return (0.0, 0.0, 1.0), 1.0
-    return (x / away, y / away, z / away), reach / away
-
-
-@compiled
-def _angle_between(d: Place, n: Place) -> float:
-    return angle_of(((d[0] - n[0]) ** 2 + (d[1] - n[1]) ** 2 + (d[2] - n[2]) ** 2) / 4)
 
 
 @compiled
@@ -143,9 +130,8 @@ def _turns(tables: Floats, first: int, end: int, n: Place, v: Place, d: Place, s
     aside = math.sqrt(max(1 - light * light, 0.0))
     if aside <= sine:
         return True
-    sines = max(aside * math.sqrt(max(1 - eye * eye, 0.0)), LEAST_SINES)
-    cosine = min(1.0, max(-1.0, (d[0] * v[0] + d[1] * v[1] + d[2] * v[2] - light * eye) / sines))
-    return _bends(tables, first, end, angle_of((1 - cosine) / 2), _angle_of_sine(sine / aside))
+    turn = turn_between(light, eye, d[0] * v[0] + d[1] * v[1] + d[2] * v[2])
+    return _bends(tables, first, end, turn, _angle_of_sine(sine / aside))
 
 
 @compiled

@@ -13,6 +13,13 @@ from radwrap.tracers.compiled.wide_lambert import annulus_irradiance, rectangle_
 
 
 @compiled
+def ball_around(box: Cluster | Wide, p: Place) -> tuple[Place, float]:
+    """Middle of a ball around a box, from a point, and its radius."""
+    middle = (box.x0 + box.x1) / 2 - p[0], (box.y0 + box.y1) / 2 - p[1], (box.z0 + box.z1) / 2 - p[2]
+    return middle, math.sqrt((box.x1 - box.x0) ** 2 + (box.y1 - box.y0) ** 2 + (box.z1 - box.z0) ** 2) / 2
+
+
+@compiled
 def may_light(light: Wide, p: Place, n: Place) -> bool:
     """Whether any of a light's box lies above the horizon of a point with a normal."""
     x = max((light.x0 - p[0]) * n[0], (light.x1 - p[0]) * n[0])
