@@ -181,6 +181,24 @@ def test_broad_lobe_by_nodes(name: str, material: str) -> None:
             assert found == pytest.approx(brute(name, GLOSSY[material], v), rel=1e-3, abs=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("material", "width", "aside"),
+    [(Specular(0.1, 0.2, 0.1), 0.4, 0.6), (Specular(0.1, 0.2, 0.2), 0.4, 1.2), (PerturbedNormal(0.6, 0.1), 0.4, 0.4)],
+)
+def test_the_foot_of_a_lobe_by_nodes(material: Material, width: float, aside: float) -> None:
+    # Three standard deviations aside a lobe changes several times its own height across a light.
+    toward = (-0.3, 0.2, math.sqrt(1 - 0.13))
+    source = replace(wide("dome"), shape=Rectangle(width, 0.9 * width), pose=aim(toward, (0.0, 0.0, 0.0)))
+    peak = np.array(toward) * ((1, 1, 1) if isinstance(material, PerturbedNormal) else (-1, -1, 1))
+    across = np.array([-peak[2], 0.0, peak[0]]) / math.hypot(peak[2], peak[0])
+    x, y, z = (math.cos(aside) * peak + math.sin(aside) * across).tolist()
+    light, (cover, tables) = wide_row(source, FRAME)[0], cover_and_tables(material)
+    nodes = nodes_along(light, cover, tables, (0.0, 0.0, 0.0), UP, (x, y, z))
+    assert nodes != (0, 0)
+    found = whole_lobe(light, cover, tables, (0.0, 0.0, 0.0), UP, (x, y, z), *nodes)
+    assert found == pytest.approx(at_even_points(source, material, (x, y, z)), rel=3e-4)
+
+
 def test_a_narrow_lobe_is_not_left_to_nodes() -> None:
     light, tables = wide_row(wide("dome"), FRAME)[0], np.zeros(1)
     assert nodes_along(light, cover_of(GLOSSY["sharp"]), tables, (0.0, 0.0, 0.0), UP, UP) == (0, 0)

@@ -35,7 +35,7 @@ _FEWEST: Final = 4
 _MOST: Final = 16
 # Nodes lie at most so many times the roughness apart, as angles: a lobe's standard deviation is sqrt 2 times that, and
 # of a beam its own counts.
-_STEP: Final = 1.4
+_STEP: Final = 1.0
 # Where normals halfway between the eye and a horizon that cuts the light stand off by fewer roughnesses, a lobe ends at
 # that horizon while it is seen: 2.5 of them leave .2 per cent of its height.
 _REACH: Final = 2.5
