@@ -12,7 +12,8 @@ being laid out where it is seen is how far this may be off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -75,7 +76,7 @@ class Layout:
     hides : bool
         Whether anything does.
     cuts : dict
-        What `uneven` has in common for all light, by its reach.
+        What `uneven` has in common for all light, by its reach: of those that `cut_within` was given.
     """
 
     seen: Array
@@ -84,7 +85,7 @@ class Layout:
     apart: float = 0.0
     behind: Array | None = None
     hides: bool = False
-    cuts: dict[int, tuple[tuple[_Cut, ...], Array]] = field(default_factory=dict)
+    cuts: Mapping[int, tuple[tuple[_Cut, ...], Array]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, magnification: Array, layers: tuple[float, ...]) -> Layout:
@@ -126,14 +127,19 @@ class Layout:
             light[edge.near] = edge.far.filled(values)[edge.near]
         return (values - light, self.place), (light, self.behind)
 
+    def cut_within(self, reaches: Iterable[int]) -> Layout:
+        """Itself, with what is cut within so many cells of its edges."""
+        cuts = {
+            reach: (tuple(_Cut.of(edge, reach) for edge in self.edges), most_around(self.place, 2 * reach + 1))
+            for reach in set(reaches)
+        }
+        return replace(self, cuts=cuts)
+
     def uneven(self, values: Array, reach: int) -> tuple[Laid, Laid]:
         """What lies behind, within so many cells of an edge, less its mean there: as far as it is, and as near.
 
         An edge cuts some of the opening off from such light, and blurs it as neither depth does.
         """
-        if reach not in self.cuts:
-            around = tuple(_Cut.of(edge, reach) for edge in self.edges)
-            self.cuts[reach] = around, most_around(self.place, 2 * reach + 1)
         cuts, near = self.cuts[reach]
         found = np.zeros_like(values)
         for cut in cuts:

@@ -206,7 +206,7 @@ def _by_own_rays(
             return
         images = [own.central(plan, tile, seen, replicate) for replicate, seen in enumerate(beside.seen)]
         depths = [image.magnification for image in images if image.magnification is not None]
-        layout = Layout.of(np.mean(depths, axis=0), plan.kernel.layers) if depths else None
+        layout = _laid_out([plan], np.mean(depths, axis=0)) if depths else None
         for replicate, central in enumerate(images):
             rough = coarsened(central)
             for changed in waves_of([plan], tile, central, rough, transforms=transforms, layout=layout):
@@ -324,7 +324,7 @@ def waves_of(
     layers = plan.kernel.layers
     fine_places, rough_places = (places_seen(image.magnification, layers) for image in (central, coarser))
     if layout is None and central.magnification is not None:
-        layout = Layout.of(central.magnification, layers)
+        layout = _laid_out(plans, central.magnification)
     each = (array.reshape(-1, *array.shape[-2:]) for array in (central.values, coarser.values))
     for of_source, fine, rough in zip(plans, *each, strict=True):
         # Cells that do not resolve what waves do say little of what smaller ones would change.
@@ -348,6 +348,12 @@ def waves_of(
             of_hiding += OF_UNEVEN * by_rays * np.copysign(np.hypot(far, near), far)
         off = of_cells + of_hiding
         yield found, off + np.copysign(of_field, off), of_hiding + np.copysign(of_field, of_hiding)
+
+
+def _laid_out(plans: Sequence[WavePlan], magnification: Array) -> Layout:
+    """What hides in a central image, and how far around its edges each source's light is cut."""
+    layout = Layout.of(magnification, plans[0].kernel.layers)
+    return layout.cut_within(of_source.cut_by_edge(layout.apart)[0] for of_source in plans) if layout.edges else layout
 
 
 def _smooth_tile(view: View, plans: Sequence[WavePlan], place: Rect) -> Iterator[Changed]:
