@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+WARM := $(VENV)/.warm
 DOCS_READY := $(VENV)/.docs
 RELEASE_READY := $(VENV)/.release
 
@@ -38,15 +39,15 @@ help:
 	@echo "make invariance   random scenes, rewritten so that their image must stay (an hour and more)"
 	@echo "make bias   bias of algorithms on predicted images, with plots"
 
-demo: $(READY)
+demo: $(WARM)
 	@$(BIN)/radwrap render rad_scenes/bench_board/scene.toml --out out/demo
 	@echo "The picture is out/demo/gray.png"
 
-face: $(READY)
+face: $(WARM)
 	@$(BIN)/radwrap face rad_scenes/bench_board/scene.toml $(ARGS)
 
 # No network: what pages show stands beside them. A warning is an error.
-docs: $(DOCS_READY)
+docs: $(DOCS_READY) $(WARM)
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html -d out/docs_tree docs out/docs
 	@echo "The site is out/docs/index.html"
 
@@ -60,23 +61,23 @@ PYTEST := -m pytest -n 3 --dist loadfile --no-loadscope-reorder --durations=20
 tested = $(ONE_THREAD) $(BIN)/python $(PYTEST) --assert=plain $(1) || \
 	{ $(ONE_THREAD) $(BIN)/python $(PYTEST) --last-failed --last-failed-no-failures none $(1); exit 1; }
 
-test: $(READY) povray lint
+test: $(WARM) povray lint
 	@command -v node >/dev/null 2>&1 || echo "note: there is no node: the page's own modules are not tested; on Debian: apt install nodejs"
 	@$(call tested,)
 
 # The whole samples of slow statistics, of which make test takes a part.
-test-long: $(READY)
+test-long: $(WARM)
 	@$(call tested,-m long)
 
-test-hid: $(READY)
+test-hid: $(WARM)
 	@$(BIN)/python scripts/test_hid.py
 
-test-report: $(READY) chromium
+test-report: $(WARM) chromium
 	@$(BIN)/python -m pytest tests/study/report_in_browser.py
 
 # Ten minutes at most. What is missing is installed by apt and npm; where that fails the tests fail.
 FACE := tests/face/browser
-test-face: $(READY) chromium node
+test-face: $(WARM) chromium node
 	@cd $(FACE) && npm ci --no-audit --no-fund --silent && npx tsc -p tsconfig.json
 	@timeout 600 node --test $(FACE)/face.test.mjs
 
@@ -85,7 +86,7 @@ test-docs: docs chromium node
 	@node tests/docs_site/site.mjs out/docs
 
 # ARGS are pytest's: a folder of tests, say.
-coverage: $(READY) povray
+coverage: $(WARM) povray
 	@$(BIN)/coverage erase
 	@$(ONE_THREAD) $(BIN)/coverage run $(PYTEST) $(ARGS); code=$$?; \
 		$(BIN)/coverage combine --quiet && $(BIN)/coverage report --skip-covered --skip-empty && exit $$code
@@ -96,30 +97,30 @@ lint: $(READY)
 	@$(BIN)/codespell
 	@$(BIN)/mypy
 
-bench: $(READY)
+bench: $(WARM)
 	@$(BIN)/python scripts/bench_cells.py $(ARGS)
 	@$(BIN)/python scripts/bench.py; first=$$?; $(BIN)/python scripts/bench_tolerance.py && exit $$first
 
-bias: $(READY)
+bias: $(WARM)
 	@$(BIN)/python scripts/bias_studies.py
 
-invariance: $(READY)
+invariance: $(WARM)
 	@$(BIN)/python scripts/invariance.py $(ARGS)
 
-crosscheck: $(READY) povray
+crosscheck: $(WARM) povray
 	@$(BIN)/python scripts/crosscheck.py
 
-figures: $(READY)
+figures: $(WARM)
 	@$(BIN)/python scripts/replicate.py --figures-only $(ARGS)
 
-replication: $(READY)
+replication: $(WARM)
 	@$(BIN)/python scripts/replicate.py $(ARGS)
 
 fig08 fig09: NAME := fig08_09
-$(NUMBERED): $(READY)
+$(NUMBERED): $(WARM)
 	@$(BIN)/python scripts/$(firstword $(filter $(or $(NAME),$@)_%,$(FIGURES)) $@).py $(ARGS)
 
-validate: $(READY)
+validate: $(WARM)
 	@$(BIN)/radwrap validate --out out/validate
 
 # Files whose hashes are not in the lock file are not installed.
@@ -136,8 +137,12 @@ $(READY): requirements.lock pyproject.toml
 	@$(BIN)/python $(LOCKED) -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@$(BIN)/python -m compileall -q radwrap scripts tests  # a command starts in 0.15 s less, also where Python may not write byte code
-	@$(BIN)/radwrap doctor --warm >/dev/null  # compiles our own tracer, some 30 s, once for each of its versions
 	@touch $(READY)
+
+# Compiles our own tracer, some 30 s, once for each of its versions.
+$(WARM): $(READY) $(wildcard radwrap/tracers/compiled/*.py)
+	@$(BIN)/radwrap doctor --warm >/dev/null
+	@touch $(WARM)
 
 $(DOCS_READY): requirements-docs.lock $(READY)
 	@$(BIN)/python $(LOCKED) -r requirements-docs.lock

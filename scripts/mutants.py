@@ -97,7 +97,7 @@ class Clone:
         _call("git", "clone", "--quiet", "--no-hardlinks", str(ROOT), str(folder))
         _call("git", "checkout", "--quiet", "--detach", commit, cwd=folder)
         if environment is None:
-            _call("make", "--silent", ".venv/.ready", cwd=folder)
+            _call("make", "--silent", ".venv/.warm", cwd=folder)
             environment = folder / ".venv"
             _call(str(environment / "bin" / "pip"), "install", "--quiet", COSMIC_RAY, cwd=folder)
         self.environment = environment
