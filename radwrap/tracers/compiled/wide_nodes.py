@@ -30,40 +30,66 @@ from radwrap.tracers.compiled.wide_contour import Place
 from radwrap.tracers.compiled.wide_light import sent_by
 from radwrap.tracers.compiled.wide_shape import ball_around, may_light
 
-# Nodes along a light; around a round one twice as many.
+# Nodes along a light.
 _FEWEST: Final = 4
-_MOST: Final = 16
-# Nodes lie at most so many times the roughness apart, as angles: a lobe's standard deviation is sqrt 2 times that, and
-# of a beam its own counts.
-_STEP: Final = 1.0
+_MOST: Final = 26
+# A light that is w roughnesses long, as an angle, has 2 + 1.05 w nodes; a lobe's standard deviation is sqrt 2
+# roughnesses, and of a beam its own counts. Gauss-Legendre nodes lie pi/2 farther apart in the middle than in the mean:
+# one node for each standard deviation misses 1e-3 of a lobe's light, without any noise. These miss 3e-5.
+_NODES_MORE: Final = 2.0
+_NODES_EACH: Final = 1.05
+# Half a turn away from the eye's direction a lobe of .5 still has 2 per cent of its height, and is cut.
+_BROADEST: Final = 0.3  # roughness
+# Even places around a round light: from 8 on one for each roughness until there are 32, which are enough for 44.8.
+_FEWEST_AROUND: Final = 8
+_MOST_AROUND: Final = 32
+_LONGEST_AROUND: Final = 44.8
 # Where normals halfway between the eye and a horizon that cuts the light stand off by fewer roughnesses, a lobe ends at
 # that horizon while it is seen: 2.5 of them leave .2 per cent of its height.
 _REACH: Final = 2.5
-# Gauss-Legendre nodes from 0 to 1 and their weights: of 4, 8 and 16, one after the other.
-_RULES: Final = [np.polynomial.legendre.leggauss(count) for count in (4, 8, 16)]
-_NODES: Final = tuple(float(x + 1) / 2 for x in np.concatenate([x for x, _ in _RULES]))
-_WEIGHTS: Final = tuple(float(w) / 2 for w in np.concatenate([w for _, w in _RULES]))
+# Gauss-Legendre nodes from 0 to 1 and their weights: of 4, 6, 8 and so on, one after the other.
+_RULES: Final = [np.polynomial.legendre.leggauss(count) for count in range(_FEWEST, _MOST + 1, 2)]
+_NODES: Final = np.concatenate([(x + 1) / 2 for x, _ in _RULES])
+_WEIGHTS: Final = np.concatenate([w / 2 for _, w in _RULES])
 
 
 @compiled
 def nodes_along(light: Wide, cover: Cover, tables: Floats, p: Place, n: Place, v: Place) -> tuple[int, int]:
-    """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where no `_MOST` of them do."""
+    """How many nodes along the two coordinates of a light resolve a lobe at a point; 0 where too many would be due."""
     along, around = _lengths(light)
     if light.beam == CONE or _has_corner(light, cover, tables, p, n, v):
         return 0, 0
-    fine = _resolved(light, cover, p, n, v)
+    fine = min(_resolved(light, cover, p, n, v), _BROADEST)
     if light.beam != LAMBERTIAN:
         fine = min(fine, light.narrow / math.sqrt(2))
-    step = _STEP * fine * _nearest(light, p)
-    most = _MOST if light.kind == WIDE_RECTANGLE else 2 * _MOST
-    if not (along <= _MOST * step and around <= most * step):
+    step = fine * _nearest(light, p)
+    if step <= 0:
         return 0, 0
-    first, second = _FEWEST, _FEWEST
-    while first * step < along:
-        first *= 2
-    while second * step < around:
-        second *= 2
-    return first, second
+    first = _nodes_for(along / step)
+    second = _nodes_for(around / step) if light.kind == WIDE_RECTANGLE else _places_for(around / step)
+    return (first, second) if first > 0 and second > 0 else (0, 0)
+
+
+@compiled
+def _nodes_for(width: float) -> int:
+    """Gauss-Legendre nodes along so many roughnesses, an even number; 0 where `_MOST` are too few."""
+    due = _NODES_MORE + _NODES_EACH * width
+    return 0 if due > _MOST else max(2 * math.ceil(due / 2), _FEWEST)
+
+
+@compiled
+def _places_for(width: float) -> int:
+    """Even places along a circle so many roughnesses long; 0 where `_MOST_AROUND` are too few."""
+    count = _FEWEST_AROUND
+    while count < min(width, _MOST_AROUND):
+        count *= 2
+    return count if width <= _LONGEST_AROUND else 0
+
+
+@compiled
+def _rule(count: int) -> int:
+    """Where the nodes of so many begin."""
+    return (count - _FEWEST) * (count + _FEWEST - 2) // 4
 
 
 @compiled
@@ -165,11 +191,11 @@ def whole_lobe(
     """Radiance that a lobe sends to the eye [W m^-2 sr^-1], by `nodes_along` a light: around a round one even ones."""
     total = 0.0
     for i in range(first):
-        a, of_a = _NODES[first - _FEWEST + i], _WEIGHTS[first - _FEWEST + i]
+        a, of_a = _NODES[_rule(first) + i], _WEIGHTS[_rule(first) + i]
         for j in range(second):
             b, of_b = (j + 0.5) / second, 1 / second
             if light.kind == WIDE_RECTANGLE:
-                b, of_b = _NODES[second - _FEWEST + j], _WEIGHTS[second - _FEWEST + j]
+                b, of_b = _NODES[_rule(second) + j], _WEIGHTS[_rule(second) + j]
             value, _, _ = sent_by(light, cover, tables, 0.0, True, p, n, v, a, b)
             total += of_a * of_b * value
     return light.radiance * light.area * total
