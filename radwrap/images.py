@@ -29,6 +29,8 @@ _NOTHING: Final[Provenance] = MappingProxyType({})
 
 # Bits of what a file may hold as gray levels.
 _BITS: Final = {"uint8": 8, "uint16": 16, "half": 16, "float": 16}
+_UPRIGHT: Final = 1  # of the tag Orientation of TIFF and Exif; from 2 to 8 a picture is turned or mirrored
+_TURNED: Final = range(2, 9)
 _MOST_BITS: Final = 16
 _HALF: Final = 0.5  # gray: so far beside the codes a level is rounded to one
 _WHOLE: Final = {"uint8", "uint16"}
@@ -392,7 +394,7 @@ def read_image(path: Path) -> tuple[NDArray[Any], dict[str, str]]:
 def read_gray(path: Path, *, most_pixels: int = MOST_PIXELS) -> GrayImage:
     """Read a gray image, predicted or captured: PNG, TIFF, PGM of 8 or 16 bits, or EXR with gray levels.
 
-    A picture with several channels is taken where all colour channels agree.
+    A picture with several channels is taken where all colour channels agree, and nothing is transparent.
 
     Parameters
     ----------
@@ -409,7 +411,7 @@ def read_gray(path: Path, *, most_pixels: int = MOST_PIXELS) -> GrayImage:
     Raises
     ------
     InputError
-        If it cannot be read whole, is too large, in colour, or holds NaN or infinity.
+        If it cannot be read whole, is too large, in colour, transparent, to be turned, or holds NaN or infinity.
     """
     values, bit_depth, whole = _read_floats(path, most_pixels, gray=True)
     return GrayImage(values, bit_depth, {"file": str(path), "whole_numbers": whole})
@@ -435,11 +437,17 @@ def _read_floats(path: Path, most_pixels: int, *, gray: bool) -> tuple[NDArray[n
         if kind not in _BITS:
             raise InputError(f"holds pixels of the type {kind}", where=str(path), remedy="use 8 or 16 bits, or floats")
         values = np.empty((spec.height, spec.width), dtype=np.float64)
-        channels = 3 if gray and spec.nchannels > 2 else 1
-        for rows, band in _bands(source, path, channels, "float" if kind == "half" else kind):
+        if gray:
+            _check_upright(spec, path)
+        opacity = spec.alpha_channel if gray else -1
+        channels = max(3 if gray and spec.nchannels > 2 else 1, opacity + 1)
+        for rows, found in _bands(source, path, channels, "float" if kind == "half" else kind):
+            band = found if opacity < 0 else np.delete(found, opacity, axis=2)
             values[rows] = band[:, :, 0]
             if gray and not np.isfinite(band).all():
                 raise InputError("holds NaN or infinity", where=str(path))
+            if opacity >= 0:
+                _check_opaque(found[:, :, opacity], path)
             if (band != band[:, :, :1]).any() and gray:
                 raise InputError("is in colour", where=str(path), remedy="give the one channel that the camera saw")
         full = _full_scale(source, path) if kind in _WHOLE else 0
@@ -449,6 +457,20 @@ def _read_floats(path: Path, most_pixels: int, *, gray: bool) -> tuple[NDArray[n
         values *= full / (2 ** _BITS[kind] - 1)
         np.rint(values, out=values)
     return values, full.bit_length() if full else _BITS[kind], kind in _WHOLE
+
+
+def _check_upright(spec: Any, path: Path) -> None:
+    """Viewers turn a picture as its tag says, and the reader does not."""
+    if spec.get_int_attribute("Orientation", _UPRIGHT) in _TURNED:
+        raise InputError(
+            "is to be turned or mirrored, as its tag Orientation says", where=str(path), remedy="save it upright"
+        )
+
+
+def _check_opaque(opacity: NDArray[Any], path: Path) -> None:
+    """The reader multiplies what is seen through by its opacity, and what is behind is not known."""
+    if (opacity < (np.iinfo(opacity.dtype).max if opacity.dtype.kind == "u" else 1)).any():
+        raise InputError("has transparent pixels", where=str(path), remedy="put it on a ground, without transparency")
 
 
 def preview_codes(image: GrayImage) -> NDArray[np.uint8] | NDArray[np.uint16]:

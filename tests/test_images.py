@@ -155,3 +155,37 @@ def test_codes_that_no_camera_sends_are_not_saved(level: float, bits: int, tmp_p
     with pytest.raises(InputError):
         GrayImage(np.full((4, 4), level), bits).save(tmp_path / "wrong.png")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_that_lets_its_background_through_is_refused(tmp_path: Path) -> None:
+    """The reader multiplies gray levels by opacity: half of 200 came back as 100, and nothing said so."""
+    from PIL import Image
+
+    gray = np.full((4, 5), 200, dtype=np.uint8)
+    for name, opacity in (("through", 128), ("opaque", 255)):
+        alpha = np.full_like(gray, opacity)
+        Image.fromarray(np.dstack([gray, alpha])).save(tmp_path / f"{name}_gray.png")
+        Image.fromarray(np.dstack([gray, gray, gray, alpha])).save(tmp_path / f"{name}_colour.png")
+        Image.fromarray(np.dstack([gray, gray, gray, alpha])).save(tmp_path / f"{name}_colour.tif")
+    for kind in ("gray.png", "colour.png", "colour.tif"):
+        assert (read_gray(tmp_path / f"opaque_{kind}").values == 200).all()
+        with pytest.raises(InputError, match="transparent"):
+            read_gray(tmp_path / f"through_{kind}")
+
+
+def test_a_picture_that_is_to_be_turned_is_refused(tmp_path: Path) -> None:
+    """As it is stored it is not what viewers show: a print lay upside down on its sheet."""
+    from PIL import Image
+
+    picture = Image.fromarray(np.arange(20, dtype=np.uint8).reshape(4, 5))
+    for orientation in (1, 3, 6):
+        picture.save(tmp_path / f"{orientation}.tif", tiffinfo={274: orientation})
+        exif = Image.Exif()
+        exif[274] = orientation
+        picture.save(tmp_path / f"{orientation}.jpg", exif=exif)
+        picture.save(tmp_path / f"{orientation}.png", exif=exif)
+    for kind in ("tif", "jpg", "png"):
+        assert read_gray(tmp_path / f"1.{kind}").values.shape == (4, 5)
+        for orientation in (3, 6):
+            with pytest.raises(InputError, match="turned"):
+                read_gray(tmp_path / f"{orientation}.{kind}")
