@@ -159,8 +159,16 @@ def _convert_mesh(arguments: argparse.Namespace) -> int:
     written = write_mesh(groups, out, materials, _radiance(arguments), polygons=arguments.polygons)
     assumed = {group.name: DEFAULT_MATERIAL.reflectance for group in groups if group.name not in materials}
     report = {group.name: {"material": group.word, **group.report} for group in groups}
+    warnings = [group.warning for group in groups if group.warning is not None]
+    for warning in warnings:
+        print(f"radwrap: warning: {warning}", file=sys.stderr)
     if arguments.json:
-        found = {"files": [str(path) for path in written], "groups": report, "assumed_reflectance": assumed}
+        found = {
+            "files": [str(path) for path in written],
+            "groups": report,
+            "assumed_reflectance": assumed,
+            "warnings": warnings,
+        }
         print(json_text(found), end="")
         return 0
     print("\n".join(map(str, written)))

@@ -18,6 +18,7 @@ from radwrap.files import make_folder, write_bytes
 from radwrap.process import Programs
 from radwrap.reading import check_regular
 from radwrap.scene.materials import Lambertian, Material
+from radwrap.scene.mesh_files.normals import told_of
 from radwrap.scene.mesh_files.parts import MESH, PartFile, cleaned, read_part_file
 from radwrap.scene.mesh_files.winding import wound
 from radwrap.scene.targets import MeshShape
@@ -50,6 +51,8 @@ class Group:
         Corners [m] and triangles.
     report : dict
         Triangles left out and turned over, holes, volume [m^3] (None where there is no inside), area [m^2], bounds [m].
+    warning : str, optional
+        What a user should know of normals that are not used.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Group:
     vertices: Array
     faces: Index
     report: dict[str, Any]
+    warning: str | None = None
 
 
 def read_groups(path: Path, length_unit: float | None) -> tuple[Group, ...]:
@@ -70,7 +74,9 @@ def read_groups(path: Path, length_unit: float | None) -> tuple[Group, ...]:
     # Whoever names a file on the command line may name a link to it.
     check_regular(path, MESH)
     found = read_part_file(path, folder=path.resolve().parent, length_unit=length_unit, where=str(path))
-    groups = tuple(_group(name, word, *found.groups[name]) for name, word in _words(found).items())
+    groups = tuple(
+        _group(name, word, *found.groups[name], found.leaning.get(name, 0.0)) for name, word in _words(found).items()
+    )
     groups = tuple(group for group in groups if len(group.faces))
     if not groups:
         raise InputError("its triangles have no area", where=str(path), remedy="name another file")
@@ -90,7 +96,7 @@ def _words(found: PartFile) -> dict[str, str]:
     return words
 
 
-def _group(name: str, word: str, vertices: Array, faces: Index) -> Group:
+def _group(name: str, word: str, vertices: Array, faces: Index, leaning: float) -> Group:
     vertices, faces, left_out = cleaned(vertices, faces)
     if not len(faces):
         return Group(name, word, vertices, faces, {})
@@ -112,7 +118,7 @@ def _group(name: str, word: str, vertices: Array, faces: Index) -> Group:
         "area_m2": float(np.linalg.norm(across, axis=1).sum()) / 2,
         "bounds_m": [used.min(axis=0).tolist(), used.max(axis=0).tolist()],
     }
-    return Group(name, word, vertices, order.faces, report)
+    return Group(name, word, vertices, order.faces, report, told_of(name, leaning))
 
 
 def write_mesh(

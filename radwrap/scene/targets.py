@@ -217,6 +217,8 @@ class MeshPart:
         The triangles in the part's own frame, which is that of the file [m].
     closed : bool
         Whether each side belongs to two triangles, so that there is an inside.
+    leaning : float
+        Angle by which normals of corners lean against the triangles in the file [rad]; they are not used.
     """
 
     name: str
@@ -226,6 +228,7 @@ class MeshPart:
     sha256: str
     mesh: Mesh = field(compare=False, repr=False)
     closed: bool = True
+    leaning: float = field(default=0.0, compare=False, repr=False)
 
 
 Flat = Sheet | DotBoard | EdgeTarget | PatternTarget | Polygon | Disc

@@ -297,3 +297,15 @@ def test_polygons_are_cut_into_triangles_of_the_same_area() -> None:
     x, y = star.T
     flat = abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
     assert area(triangles) == pytest.approx(flat * math.sqrt(1 + 0.3**2))
+
+
+def test_convert_warns_of_normals_that_it_does_not_use(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "roof.obj").write_text("v 0 0 0\nv 9 0 0\nv 0 9 0\nvn 0.6 0 0.8\nf 1//1 2//1 3//1\n")
+    argv = ["convert", str(tmp_path / "roof.obj"), str(tmp_path / "roof.rad"), "--length-unit", "1 mm", "--polygons"]
+    assert main(argv) == 0
+    assert capsys.readouterr().err.count("normals") == 1
+    assert main([*argv[:2], str(tmp_path / "again.rad"), *argv[3:], "--json"]) == 0
+    output = capsys.readouterr()
+    (warning,) = json.loads(output.out)["warnings"]
+    assert "36.9 deg" in warning
+    assert warning in output.err

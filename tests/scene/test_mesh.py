@@ -12,6 +12,7 @@ import trimesh
 
 import radwrap
 from radwrap.errors import EnvironmentFailure, InputError
+from radwrap.scene.look.checks import warnings_of
 from radwrap.scene.look.geometry import signed_distance
 from radwrap.scene.look.intersections import first_hit, nearest_point
 from radwrap.scene.mesh import contains, mesh_hit, mesh_of, nearest_on
@@ -298,3 +299,28 @@ def test_step_files_need_cascadio(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_there_is_a_limit() -> None:
     assert MOST_FACES == 10_000_000
+
+
+def roof(lean: float, *, sliver: bool = False) -> str:
+    """Two triangles in one plane, the normals at whose corners lean by an angle [deg] in the file."""
+    up, aside = (f"vn {math.sin(math.radians(a)):.9f} 0 {math.cos(math.radians(a)):.9f}\n" for a in (0.0, lean))
+    text = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 9 9 0\nv 4.5 4.5 1e-4\n" + up + aside
+    thin = "f 2//1 5//1 3//1\n" if sliver else ""  # upright, of .0006 mm^2
+    return text + "f 1//1 2//-1 3//1\nusemtl other\nf 2//1 4//-2 3//9\n" + thin
+
+
+def test_normals_of_the_file_that_are_not_used_are_told_once(tmp_path: Path) -> None:
+    for lean in (0.5, 20.0):
+        (tmp_path / f"roof_{lean:g}.obj").write_text(roof(lean))
+        found = read_part_file(tmp_path / f"roof_{lean:g}.obj", folder=tmp_path, length_unit=1e-3, where="here")
+        assert found.leaning == pytest.approx({"part": math.radians(lean), "other": 0.0}, abs=1e-7)
+    (tmp_path / "thin.obj").write_text(roof(0.0, sliver=True))
+    lines = {
+        name: [
+            line for line in warnings_of(scene_with(tmp_path, name, position=["0 mm"] * 2 + ["40 mm"])) if "vn" in line
+        ]
+        for name in ("roof_0.5.obj", "thin.obj", "roof_20.obj")
+    }
+    assert lines["roof_0.5.obj"] == lines["thin.obj"] == []
+    (told,) = lines["roof_20.obj"]
+    assert "20 deg" in told

@@ -292,7 +292,8 @@ def _part(table: tables.PartModel, name: str, where: str, folder: Path) -> MeshP
     order = wound(vertices, faces)
     mesh = mesh_of(vertices, order.faces)
     told = f"{found.sha256}:{table.length_unit!r}"
-    return MeshPart(name, placed_pose(table), table.material, table.part, told, mesh, order.closed)
+    lean = max(found.leaning.values(), default=0.0)
+    return MeshPart(name, placed_pose(table), table.material, table.part, told, mesh, order.closed, lean)
 
 
 def target_from_table(table: tables.TargetModel, name: str, where: str, folder: Path) -> Target:

@@ -29,9 +29,10 @@ from radwrap.scene.look.probes import (
 from radwrap.scene.look.sight import sources_in_sight
 from radwrap.scene.look.smallness import small_parts, small_spots
 from radwrap.scene.materials import GLASS_BEAD_OBSERVATION, CoefficientTable, GlassBeads, Material, PrintedSheeting
+from radwrap.scene.mesh_files.normals import told_of
 from radwrap.scene.scene import Scene
 from radwrap.scene.sources import Emitter, IntensityTable, Luminaire, Patch, SingleSource, Source, TableBeam, WideSource
-from radwrap.scene.targets import Flat, Polygon, Target, signed_area
+from radwrap.scene.targets import Flat, MeshPart, Polygon, Target, signed_area
 
 # A source is sampled at its centre, which misses the irradiance by about (radius/distance)^2.
 WIDE_SOURCE_LIMIT: Final = 0.01
@@ -338,6 +339,7 @@ def warnings_of(scene: Scene, whole: Collection[str] = ()) -> tuple[str, ...]:
     found += _doubtful_tables(scene)
     found += _other_wavelength(scene)
     found += _late_pulses(scene)
+    found += filter(None, (told_of(one.name, one.leaning) for one in scene.targets if isinstance(one, MeshPart)))
     return (*found, *small_parts(scene), *small_spots(scene), *sources_in_sight(scene))
 
 

@@ -30,13 +30,20 @@ def _whole_numbers() -> array[int]:
 
 @dataclass(frozen=True, slots=True)
 class Polygons:
-    """Faces of one material: numbers of their vertices one after the other, and how many each has."""
+    """Faces of one material: numbers of their vertices one after the other, how many each has, and of normals.
+
+    `normals` is empty as long as the file has none; -1 is a corner without one.
+    """
 
     corners: array[int] = field(default_factory=_whole_numbers)
     counts: array[int] = field(default_factory=_whole_numbers)
+    normals: array[int] = field(default_factory=_whole_numbers)
 
-    def add(self, corners: Sequence[int]) -> None:
+    def add(self, corners: Sequence[int], normals: Sequence[int] = ()) -> None:
         """Add a face."""
+        if normals and not self.normals:
+            self.normals.extend([-1] * len(self.corners))
+        self.normals.extend(normals or [-1] * len(corners) * bool(self.normals))
         self.corners.extend(corners)
         self.counts.append(len(corners))
 
@@ -46,15 +53,15 @@ class Polygons:
         return len(self.corners) - 2 * len(self.counts)
 
 
-def read_obj(content: bytes, where: str) -> tuple[Array, dict[str, Polygons]]:
-    """Read an OBJ file: its vertices, and the faces of each material ("part" before any is named).
+def read_obj(content: bytes, where: str) -> tuple[Array, dict[str, Polygons], Array]:
+    """Read an OBJ file: its vertices, the faces of each material ("part" before any is named), and normals.
 
     Raises
     ------
     InputError
         Naming the line that is none of OBJ's, or holds a free-form surface.
     """
-    vertices = array("d")
+    vertices, normals = array("d"), array("d")
     groups: dict[str, Polygons] = {}
     name = "part"
     for number, line in _logical_lines(content):
@@ -67,7 +74,11 @@ def read_obj(content: bytes, where: str) -> tuple[Array, dict[str, Polygons]]:
                     x, y, z = map(float, words[1:4])
                     vertices.extend((x, y, z))
                 case b"f":
-                    groups.setdefault(name, Polygons()).add([_place(word, len(vertices) // 3) for word in words[1:]])
+                    known, corners = len(normals) // 3, [_place(word, len(vertices) // 3) for word in words[1:]]
+                    groups.setdefault(name, Polygons()).add(corners, [_normal(w, known) for w in words[1:] if known])
+                case b"vn":
+                    x, y, z = map(float, words[1:4])
+                    normals.extend((x, y, z))
                 case b"usemtl":
                     # A name may hold any letter but a line's end.
                     name = line.split(None, 1)[1].strip().decode(errors="replace") if len(words) > 1 else "part"
@@ -75,7 +86,7 @@ def read_obj(content: bytes, where: str) -> tuple[Array, dict[str, Polygons]]:
                     raise InputError(f"line {number} begins a free-form surface", where=where, remedy="mesh it before")
         except (ValueError, OverflowError) as error:
             raise InputError(f"is not a complete OBJ file: line {number}: {str(error)[:80]}", where=where) from error
-    return np.array(vertices).reshape(-1, 3), groups
+    return np.array(vertices).reshape(-1, 3), groups, np.array(normals).reshape(-1, 3)
 
 
 def _logical_lines(content: bytes) -> Iterator[tuple[int, bytes]]:
@@ -104,6 +115,13 @@ def _place(word: bytes, known: int) -> int:
     if number < -known:
         raise ValueError(f"there is no vertex {number} before it")
     return number - 1 if number > 0 else known + number
+
+
+def _normal(word: bytes, known: int) -> int:
+    """Number of a corner's normal, from 0; -1 for none."""
+    text = word.rpartition(b"/")[2] if word.count(b"/") == 2 else b""
+    number = int(text) if text else 0
+    return number - 1 if number > 0 else max(known + number, -1) if number < 0 else -1
 
 
 def read_off(content: bytes, where: str) -> tuple[Array, Polygons]:

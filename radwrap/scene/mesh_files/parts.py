@@ -16,7 +16,7 @@ import struct
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from radwrap.process import Programs
 from radwrap.reading import FileKind, read_bytes, shortened
 from radwrap.scene.mesh_files.glb_checks import check_glb
 from radwrap.scene.mesh_files.mesh_texts import Polygons, read_obj, read_off
+from radwrap.scene.mesh_files.normals import leaning
 from radwrap.scene.mesh_files.polygons import checked, triangulated
 
 Array = NDArray[np.float64]
@@ -60,11 +61,14 @@ class PartFile:
         Of the file.
     material_files : tuple of str
         Files with materials that it names and that were not read.
+    leaning : dict
+        Group -> angle [rad] by which the normals of corners that an OBJ file gives lean against its flat faces.
     """
 
     groups: dict[str, tuple[Array, Index]]
     sha256: str
     material_files: tuple[str, ...] = ()
+    leaning: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +109,11 @@ def read_part_file(path: Path, *, folder: Path, length_unit: float | None, where
     names = tuple(name.decode(errors="replace") for name in _MATERIAL_FILE.findall(content)) if suffix == ".obj" else ()
     for name in names:
         _check_inside(name, path, where)
-    groups = {
-        name: _scaled(vertices, faces, unit, where)
-        for name, (vertices, faces) in _loaded(suffix, content, where).items()
-        if len(faces)
-    }
+    found, leanings = _loaded(suffix, content, where)
+    groups = {name: _scaled(vertices, faces, unit, where) for name, (vertices, faces) in found.items() if len(faces)}
     if not groups:
         raise InputError(f'"{path.name}" holds no triangles', where=where, remedy="name another file")
-    return PartFile(groups, hashlib.sha256(content).hexdigest(), names)
+    return PartFile(groups, hashlib.sha256(content).hexdigest(), names, leanings)
 
 
 def joined(groups: dict[str, tuple[Array, Index]]) -> tuple[Array, Index]:
@@ -191,25 +192,29 @@ def _is_text_stl(content: bytes) -> bool:
     return content[:5] == b"solid" and b"facet" in content[:1000]
 
 
-def _loaded(suffix: str, content: bytes, where: str) -> dict[str, tuple[Array, Index]]:
-    """Triangles by the name of their material, in the file's unit; vertices that none uses may be anything."""
+def _loaded(suffix: str, content: bytes, where: str) -> tuple[dict[str, tuple[Array, Index]], dict[str, float]]:
+    """Triangles by the name of their material, in the file's unit, and how far normals lean that are not used.
+
+    Vertices that no triangle uses may be anything.
+    """
     match suffix:
         case ".obj":
-            vertices, groups = read_obj(content, where)
-            return {name: (vertices, _triangles(vertices, faces, where)) for name, faces in groups.items()}
+            vertices, groups, normals = read_obj(content, where)
+            found = {name: (vertices, _triangles(vertices, faces, where)) for name, faces in groups.items()}
+            return found, {name: leaning(vertices, faces, normals) for name, faces in groups.items()}
         case ".off":
             vertices, polygons = read_off(content, where)
-            return {"part": (vertices, _triangles(vertices, polygons, where))}
+            return {"part": (vertices, _triangles(vertices, polygons, where))}, {}
         case ".ply":
             vertices, polygons = _ply(content, where)
-            return {"part": (vertices, _triangles(vertices, polygons, where))}
+            return {"part": (vertices, _triangles(vertices, polygons, where))}, {}
     bodies: dict[str, dict[str, tuple[Array, Index]]] = {}
     for number, body in enumerate(_bodies(content, suffix[1:], where)):
         vertices, faces = np.asarray(body.vertices, dtype=np.float64), np.asarray(body.faces, dtype=np.intp)
         checked(vertices, faces.ravel(), where)
         name = _name_of(body) if suffix in _IN_METRES else "part"
         bodies.setdefault(name, {})[str(number)] = (vertices, faces)
-    return {name: joined(parts) for name, parts in bodies.items()}
+    return {name: joined(parts) for name, parts in bodies.items()}, {}
 
 
 def _triangles(vertices: Array, faces: Polygons, where: str) -> Index:
