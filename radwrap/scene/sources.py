@@ -418,9 +418,12 @@ Source = SingleSource | Ring | WideSource
 
 
 def dimmed(source: Source, factor: float) -> Source:
-    """The source with a factor on its radiance."""
+    """The source with a factor on its radiance, and on that of patches which it is cut into."""
     if isinstance(source, SingleSource):
         return replace(source, emitter=replace(source.emitter, radiance=source.emitter.radiance * factor))
+    if isinstance(source, WideSource):
+        patches = tuple(replace(patch, radiance=patch.radiance * factor) for patch in source.patches)
+        return replace(source, radiance=source.radiance * factor, patches=patches)
     return replace(source, radiance=source.radiance * factor)
 
 

@@ -333,6 +333,39 @@ def test_a_dark_source_beside_a_pulsed_one_is_nothing() -> None:
         rendered(tables, 1.0)
 
 
+def wide_sources(*shares: float) -> list[dict[str, Any]]:
+    """Two lights in front, each with a share of its radiance."""
+    rectangle = {"type": "rectangle", "look_at": ["0 mm", "0 mm", "0 mm"], "size": ["200 mm", "100 mm"]}
+    places = (("left", -300.0, 20.0), ("right", 300.0, 30.0))
+    return [
+        {**rectangle, "name": name, "position": [f"{x} mm", "0 mm", "300 mm"], "radiance": f"{share * level} W/m^2/sr"}
+        for (name, x, level), share in zip(places, shares, strict=True)
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_pulses_of_wide_lights_shine_one_by_one(speed: float) -> None:
+    """A dark wide light shone from its outline's patches with all of its radiance."""
+    tables = document(edge_material="black", velocity=velocity(speed))
+    tables["sources"] = wide_sources(0.2, 0.3)
+    due = still(tables).mean()
+    tables["sources"] = wide_sources(1.0, 1.0)
+    for source, delay, width in zip(tables["sources"], (1.0, 4.0), (2.0, 3.0), strict=True):
+        source["strobe"] = {"delay": f"{delay} ms", "width": f"{width} ms"}
+    assert rendered(tables, 0.5).radiant_exposure.values.mean() == pytest.approx(due, rel=5e-3)
+
+
+def test_a_dark_wide_light_is_dark_in_its_patches_too() -> None:
+    tables = document()
+    tables["sources"] = wide_sources(1.0, 1.0)
+    scene = radwrap.scene_from_document(tables)
+    assert sum(one.radiance > 0 for one in lit_by(scene, {"left": 1.0}).emitters) == len(scene.emitters) / 2
+    sky = {"type": "surround", "name": "sky", "radiance": "8 W/m^2/sr"}
+    dimmed = lit_by(radwrap.scene_from_document(tables | {"sources": [sky]}), {"sky": 0.25})
+    assert {one.radiance for one in dimmed.emitters} == {2.0}
+
+
 def test_what_moves_too_far_is_an_error() -> None:
     with pytest.raises(InputError, match=r"targets\[0\].velocity.*moves it over .* pixels"):
         rendered(document(velocity=velocity(2000.0)), 1.0)
