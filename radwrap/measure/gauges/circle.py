@@ -14,8 +14,9 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.gauges.calipers import Caliper, Side
 from radwrap.measure.gauges.contour import Contour, fit_contour
+from radwrap.measure.gauges.dead import light_that_is_seen
 from radwrap.measure.gauges.points import PointFit, fit_points, robust_circle
-from radwrap.measure.gauges.response import Light, Response, light_of
+from radwrap.measure.gauges.response import Light, Response
 from radwrap.measure.gauges.rims import Shape
 from radwrap.measure.gauges.ring import fit_ring, ring_crossings, ring_middle, thin
 from radwrap.measure.gauges.round_shapes import circle_shape, ellipse_shape, plane_shape
@@ -154,10 +155,16 @@ def measure_circle(
         raise InputError("must lie between 0.01 and 100", where="pixel_aspect", remedy="give height over width")
     if form == "ellipse" and plane is not None:
         raise InputError("in a plane a circle is measured", where="shape", remedy="leave it out")
-    light = light_of(image, response or Response())
+    reach = max(one.radius + one.band for one in (caliper, beside or caliper))
+    light, dead = light_that_is_seen(image, response, caliper.centre, (reach, reach / pixel_aspect))
+    found = _measured(light, caliper, beside, way, _Named(form, plane, pixel_aspect))
+    return replace(found, warnings=(*found.warnings, *dead))
+
+
+def _measured(light: Light, caliper: Caliper, beside: Caliper | None, way: Way, named: _Named) -> Circle:
+    form, plane, pixel_aspect = named.form, named.plane, named.aspect
     lines = _scan_lines(caliper, pixel_aspect)
     rising = None if caliper.inside is None else caliper.inside == "dark"
-    named = _Named(form, plane, pixel_aspect)
     found = crossings(light.values, lines, "moment" if way == "moment" else "gradient", rising)
     width = math.inf if found is None else 2 * found.width
     if way == "model" and beside is not None and thin(caliper, beside, width):

@@ -268,7 +268,7 @@ def _rendering(fit: Contour | PointFit) -> Callable[[Array], float]:
     return fit.by_rendering if isinstance(fit, Contour) else lambda _: math.nan
 
 
-def _quality(fits: list[Contour | PointFit]) -> dict[str, Any]:
+def _quality(gauge: StraightGauge, fits: list[Contour | PointFit]) -> dict[str, Any]:
     """What fits have in common in all results."""
     models = [fit for fit in fits if isinstance(fit, Contour)]
     return {
@@ -276,7 +276,7 @@ def _quality(fits: list[Contour | PointFit]) -> dict[str, Any]:
         "misfit": max(fit.misfit for fit in models) if models else math.nan,
         "left_out": max((fit.left_out for fit in models), default=0.0),
         "points": sum(fit.pixels if isinstance(fit, Contour) else fit.points for fit in fits),
-        "warnings": tuple(dict.fromkeys(text for fit in models for text in fit.warnings)),
+        "warnings": (*dict.fromkeys(text for fit in models for text in fit.warnings), *gauge.dead),
     }
 
 
@@ -311,7 +311,7 @@ def _line(gauge: StraightGauge, fit: Contour | PointFit, way: Way, rising: bool 
         inside=inside,
         blur_sigma=fit.blur_sigma if isinstance(fit, Contour) else math.nan,
         way=way,
-        **_quality([fit]),
+        **_quality(gauge, [fit]),
     )
 
 
@@ -339,7 +339,7 @@ def _width(gauge: StraightGauge, fits: list[Contour | PointFit], inside: Side, p
     angle, _ = _folded(gauge.angle + middle[1])
     normal = np.array([math.cos(gauge.angle + middle[1]), math.sin(gauge.angle + middle[1])])
     at = (gauge.centre + middle[0] * normal) / np.array([1.0, gauge.aspect])
-    quality = _quality(fits)
+    quality = _quality(gauge, fits)
     if abs(slant) > _NOT_PARALLEL * slant_sigma and abs(slant) * gauge.length > _SLANT and plane is None:
         quality["warnings"] += (
             f"the edges are not parallel: {math.degrees(slant):.3g} deg apart, so the width holds at the middle",

@@ -13,9 +13,10 @@ from radwrap.errors import InputError
 from radwrap.images import GrayImage
 from radwrap.measure.gauges.calipers import Side, StraightCaliper
 from radwrap.measure.gauges.contour import Contour, fit_contour
+from radwrap.measure.gauges.dead import light_that_is_seen
 from radwrap.measure.gauges.narrow import NarrowFit, fit_narrow
 from radwrap.measure.gauges.points import PointFit, fit_points, robust_line
-from radwrap.measure.gauges.response import Light, Response, light_of
+from radwrap.measure.gauges.response import Light, Response
 from radwrap.measure.gauges.rims import Shape
 from radwrap.measure.gauges.scale import Plane
 from radwrap.measure.gauges.scan import Crossings, ScanLines, Way, check_unsaturated, crossings
@@ -44,7 +45,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StraightGauge:
-    """Light, caliper and scan lines of a measurement, in pixel widths."""
+    """Light, caliper and scan lines of a measurement, in pixel widths, and what to warn of dead pixels."""
 
     light: Light
     centre: Array
@@ -52,6 +53,7 @@ class StraightGauge:
     lines: ScanLines
     length: float
     aspect: float
+    dead: tuple[str, ...]
 
     @classmethod
     def of(cls, image: GrayImage, caliper: StraightCaliper, response: Response | None, aspect: float) -> StraightGauge:
@@ -64,7 +66,10 @@ class StraightGauge:
         along = ((np.arange(count) + 0.5) / count - 0.5) * caliper.length
         origins = centre + along[:, None] * np.array([-normal[1], normal[0]])
         lines = ScanLines(origins, np.tile(normal, (count, 1)), caliper.band, aspect)
-        return cls(light_of(image, response or Response()), centre, caliper.angle, lines, caliper.length, aspect)
+        across, along_it = np.abs(caliper.band * normal), np.abs(caliper.length / 2 * normal[::-1])
+        half = (float(across[0] + along_it[0]), float(across[1] + along_it[1]) / aspect)
+        light, dead = light_that_is_seen(image, response, caliper.centre, half)
+        return cls(light, centre, caliper.angle, lines, caliper.length, aspect, dead)
 
     def crossings(self, rising: bool | None, way: Way) -> Crossings:
         """Where the scan lines cross the strongest edge."""
