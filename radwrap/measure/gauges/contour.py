@@ -50,6 +50,7 @@ from radwrap.measure.gauges.strip import (
     solved,
     terms_of,
 )
+from radwrap.measure.gauges.torn import lies_elsewhere
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -354,8 +355,18 @@ def _told(
                 strip, disc, state, misfit if significant else 0.0, sided=sided, second=second, rounded=is_whole(light)
             ),
             *((_UNDETERMINED,) if undetermined else ()),
+            *_torn(shape, wide, state, sound),
         ),
     )
+
+
+def _torn(shape: Shape, wide: Strip, state: State, sound: Flags) -> Iterator[str]:
+    elsewhere = lies_elsewhere(shape, wide, state, sound)
+    if elsewhere is not None:
+        yield (
+            f"{elsewhere[0]:.0%} of the contour lies elsewhere, by {elsewhere[1]:.2g} px: it is torn, and only the "
+            "other part was measured"
+        )
 
 
 def _asked(shape: Shape, wide: Strip, state: State, sound: Flags) -> tuple[Strip, State]:
