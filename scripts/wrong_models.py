@@ -3,8 +3,9 @@
 Usage: wrong_models.py [--scenes 40] [--seed 2] [--kinds NAME ...] [--json FILE]
 
 Of each kind and gauge: how many are warned of, refused, right without a warning (within four standard errors or 0.02
-px of the truth, where there is one: a neighbour may well be left out), and wrong without a warning. Levels, noise,
-place and direction are drawn.
+px of the truth, where there is one: a neighbour may well be left out), and wrong without a warning. Of an edge with
+coma the truth is where the middle of the blur's light puts it: how far coma moves all light alike no image shows.
+Levels, noise, place and direction are drawn.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def disc(radius: float) -> Array:
 
 
 def coma(turn: float) -> Array:
-    """A Gaussian with an exponential tail in one direction."""
+    """A Gaussian with an exponential tail in one direction; the middle of its light is TAU that way."""
     y, x = _around(math.ceil(8 * TAU * FINE))
     along, across = (x * math.cos(turn) + y * math.sin(turn)) / FINE, (y * math.cos(turn) - x * math.sin(turn)) / FINE
     from scipy.special import erfcx
@@ -159,14 +160,16 @@ def coma_edge(dice: Dice) -> Case:
     """An edge with coma across it."""
     centre, angle, x, _ = _straight(dice)
     turn = angle + dice.uniform(-1, 1) + (math.pi if dice.random() < 0.5 else 0)
-    return Case(pixels(lit(dice, soft(x)), coma(turn)), by_edge(centre, angle, gamma=None))
+    return Case(
+        pixels(lit(dice, soft(x)), coma(turn)), by_edge(centre, angle, gamma=None), TAU * math.cos(turn - angle)
+    )
 
 
 def coma_line(dice: Dice) -> Case:
     """The same, by the gauge."""
     centre, angle, x, _ = _straight(dice)
     turn = angle + dice.uniform(-1, 1) + (math.pi if dice.random() < 0.5 else 0)
-    return Case(pixels(lit(dice, soft(x)), coma(turn)), by_line(centre, angle))
+    return Case(pixels(lit(dice, soft(x)), coma(turn)), by_line(centre, angle), TAU * math.cos(turn - angle))
 
 
 def coma_circle(dice: Dice) -> Case:
@@ -302,7 +305,7 @@ def coma_beside_line(dice: Dice) -> Case:
     at, size, gap = dice.uniform(-16, 16), dice.uniform(3, 9), dice.uniform(-2, 1)
     inside = np.maximum(soft(x), soft(size - np.hypot(x + size + gap, y - at)))
     turn = angle + dice.uniform(-1, 1) + (math.pi if dice.random() < 0.5 else 0)
-    return Case(pixels(lit(dice, inside), coma(turn)), by_line(centre, angle))
+    return Case(pixels(lit(dice, inside), coma(turn)), by_line(centre, angle), TAU * math.cos(turn - angle))
 
 
 def burr_arc(dice: Dice) -> Case:

@@ -24,7 +24,7 @@ from radwrap.measure.edges.misfit import beyond_noise, misfit_of
 from radwrap.measure.gauges.response import Light
 from radwrap.measure.gauges.rims import Shape
 from radwrap.measure.gauges.second_edge import moved_by_second_edge
-from radwrap.measure.gauges.sided import has_sides
+from radwrap.measure.gauges.sided import FALSE_ALARM, FALSE_ALARM_BESIDE, has_coma, has_sides
 from radwrap.measure.gauges.stretches import (
     FEWEST_BLOCKS,
     LEAST_CONTOUR,
@@ -334,7 +334,11 @@ def _told(
     second = 0.0
     if len(state.rims) == 1:
         reach = float(np.abs(across).max())
-        second = moved_by_second_edge(shape, *_asked(shape, wide, state, sound), reach=reach, noise=tested)
+        farther, apart = _asked(shape, wide, state, sound)
+        second = moved_by_second_edge(shape, *apart, reach=reach, noise=tested)
+        chance = FALSE_ALARM if sound.all() else FALSE_ALARM_BESIDE
+        if not sided and second <= _MOVED:  # a second edge has a side too, and its own warning says more
+            sided = has_coma(shape, *farther, noise=tested, contrast=abs(high - low), false_alarm=chance)
     return Contour(
         parameters=state.parameters,
         covariance=covariance[:count, :count],
@@ -369,12 +373,13 @@ def _torn(shape: Shape, wide: Strip, state: State, sound: Flags) -> Iterator[str
         )
 
 
-def _asked(shape: Shape, wide: Strip, state: State, sound: Flags) -> tuple[Strip, State]:
-    """Pixels also farther away, of stretches that show the contour there too and lie beside no others."""
-    keep, _, farther = kept_of(shape, lit_anew(shape, wide, state))
-    alone = ~with_next(~(sound & farther), shape, len(state.rims))
-    some = wide.only(keep & alone[blocks_of(shape, shape.rims(state.parameters, wide.places))[0]])
-    return some, lit_anew(shape, some, state)
+def _asked(shape: Shape, wide: Strip, state: State, sound: Flags) -> list[tuple[Strip, State]]:
+    """Pixels also farther away, of stretches that show the contour there too: of all, and of those beside no others."""
+    keep, _, there = kept_of(shape, lit_anew(shape, wide, state))
+    shows = sound & there
+    block, _ = blocks_of(shape, shape.rims(state.parameters, wide.places))
+    found = [wide.only(keep & some[block]) for some in (shows, ~with_next(~shows, shape, len(state.rims)))]
+    return [(some, lit_anew(shape, some, state)) for some in found]
 
 
 def _beyond_disc(disc: State, state: State, noise: float) -> float:
