@@ -336,7 +336,7 @@ def _told(
         reach = float(np.abs(across).max())
         farther, apart = _asked(shape, wide, state, sound)
         second = moved_by_second_edge(shape, *apart, reach=reach, noise=tested)
-        chance = FALSE_ALARM if sound.all() else FALSE_ALARM_BESIDE
+        chance = FALSE_ALARM if shape.closed or sound.all() else FALSE_ALARM_BESIDE
         if not sided and second <= _MOVED:  # a second edge has a side too, and its own warning says more
             sided = has_coma(shape, *farther, noise=tested, contrast=abs(high - low), false_alarm=chance)
     return Contour(

@@ -21,7 +21,7 @@ from radwrap.measure.gauges.strip import State, Strip, jacobian_of, slopes_of
 Array = NDArray[np.float64]
 
 FALSE_ALARM: Final = 0.002  # of each question: a width of two edges has four, and 2 % of right ones may be warned of
-# Of coma where something lies beside the contour: fewer pixels are left to show it, and few right ones have neighbours.
+# Of coma where something lies beside an open contour: few pixels are left to show it, and few right ones have that.
 FALSE_ALARM_BESIDE: Final = 0.01
 SMALLEST: Final = 0.001  # of the contrast, rms: less moves no contour, and in pictures without noise all is significant
 _DEPENDENT: Final = 1e-3  # of a column's length; where no more is left beside the fit's own it is rounding
