@@ -6,6 +6,7 @@
 /** @typedef {import("./types.js").Knobs} Knobs */
 /** @typedef {import("./types.js").Thresholds} Thresholds */
 
+const LEAST = 2 ** -149; // of positive floats
 const float = new Float32Array(1), word = new Int32Array(float.buffer);
 
 /**
@@ -81,12 +82,22 @@ export function rankOf(exposure, { first, values }) {
  * @returns {Thresholds}
  */
 export function thresholdsOf(sensor) {
-  const first = Math.round(sensor.dark_gray);
-  const last = Math.max(first, Math.round(sensor.saturation_gray));
+  const first = nearest(sensor.dark_gray);
+  const last = Math.max(first, nearest(sensor.saturation_gray));
   const values = new Float32Array(last - first);
   for (let k = 0; k < values.length; k++) values[k] = exposureOf(first + k + 0.5, sensor);
   const { saturation_gray: full, dark_gray: dark } = sensor;
+  if (dark === first + 0.5 && values.length > 0) values[0] = LEAST; // no light has the even code, any light the next one
   return { first, values, saturated: exposureOf(full, sensor), lit: exposureOf(dark + 0.5, sensor) };
+}
+
+/**
+ * The nearest whole number, of two the even one, as the server rounds: all pixels without light may lie on a half.
+ * @param {number} gray
+ */
+function nearest(gray) {
+  const above = Math.round(gray);
+  return above - gray === 0.5 && above % 2 !== 0 ? above - 1 : above;
 }
 
 /**

@@ -48,6 +48,18 @@ test("sums of planes are sums, whole and step by step", () => {
   assert.ok(sum.every((value, i) => Math.abs(value - anew[i]) < 1e-14));
 });
 
+test("dark and saturation on a half have the even code, as the server's have", () => {
+  const codes = (dark, full) => {
+    const thresholds = thresholdsOf({ ...EQ5, gain: 1, gamma: 1, dark_gray: dark, saturation_gray: full });
+    return [0, 2 ** -20, 1000].map((exposure) => [rankOf(exposure, thresholds), codeOf(exposure, ranksOf(thresholds))]);
+  };
+  const both = (...expected) => expected.map((code) => [code, code]);
+  assert.deepEqual(codes(4.5, 254.5), both(4, 5, 254));
+  assert.deepEqual(codes(5.5, 253.5), both(6, 6, 254));
+  assert.deepEqual(codes(0.5, 0.5), both(0, 0, 0));
+  assert.deepEqual(codes(4.25, 254.75), both(4, 4, 255));
+});
+
 test("light is never negative, and a sum that was goes on from where it was", () => {
   const ranks = ranksOf({ first: 0, values: Float32Array.of(0.5, 1.5), saturated: Infinity, lit: 0.5 });
   const codes = (sum) => [...frameOf(sum, 3, 0, 1, ranks, { x0: 0, y0: 0, x1: 3, y1: 1, bin: 1 }, PLAIN, 256).counts.slice(0, 3)];
