@@ -246,6 +246,19 @@ def test_sigma_is_at_most_a_root_of_two_too_small_wherever_the_rays_err() -> Non
         assert np.all(laid >= truth / 2 * (1 - 1e-12))
 
 
+def test_pixels_that_are_cut_take_no_share_of_the_rays_error() -> None:
+    """Three quarters of an image far above saturation: the rest has all of the mean square, half of it by its light."""
+    camera = scene_with({**TABLE, "rows": 40, "columns": 40}).camera
+    photons = np.full((40, 40), 1e6)
+    photons[:20, :20] = 3000.0
+    found = uncertainty(ExposureImage(photons / MU_P_OF_H), camera, Tolerances(), 0.4)
+    still = uncertainty(ExposureImage(photons / MU_P_OF_H), camera, Tolerances(), 0.0)
+    rays = found.sigma**2 - still.sigma**2
+    assert rays[:19, :19] == pytest.approx(0.4**2 * 4 / 2)
+    assert np.all(rays[22:] < 1e-9)
+    assert rays.mean() == pytest.approx(0.4**2)
+
+
 def _of_corner(x: float, y: float) -> float:
     """Irradiance over radiance by a rectangle of x times y distances, straight over the point, a corner above it."""
     a, b = math.hypot(1.0, x), math.hypot(1.0, y)

@@ -24,7 +24,7 @@ from radwrap.images import ExposureImage
 from radwrap.imaging.optics.footprint import opening_points
 from radwrap.imaging.optics.view import View, magnifications_at, trace_rays
 from radwrap.imaging.response.noise import ROUNDING_VARIANCE, noise_variance
-from radwrap.imaging.response.sensor import gray_levels
+from radwrap.imaging.response.sensor import gray_levels, unclipped_gray
 from radwrap.imaging.tolerance.certificate import places_of
 from radwrap.scene.camera import Camera, Sensor
 from radwrap.scene.tolerances import TO_STANDARD, Tolerances
@@ -32,8 +32,10 @@ from radwrap.written import NotNegative
 
 Array = NDArray[np.float64]
 # Of the mean square of the rays' error, what is laid on all pixels by their light alone. Nothing is known of the true
-# share: edges have nearly all, half shadows of wide lights hardly any. With a half, sigma is at most sqrt(2) too small.
+# share: edges have nearly all, half shadows of wide lights hardly any. With a half, sigma is at most sqrt(2) too small
+# for either.
 _EVEN_SHARE: Final = 0.5
+_SURELY_CUT: Final = 3  # errors above saturation
 _FEWEST_FOR_BLUR: Final = 3  # pixels each way
 _RINGS: Final = 40  # of points that stand for the opening
 
@@ -123,7 +125,10 @@ def uncertainty_squares(
         known of the image: of waves, which have no second moments. Else it is that of the opening's, by rays.
     """
     values, sensor = exposure.values, camera.sensor
-    squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(gray_levels(values, sensor) - sensor.dark_gray)}
+    straight = unclipped_gray(values, sensor)
+    sees = straight < sensor.saturation_gray + _SURELY_CUT * ray_error
+    signal = np.minimum(straight, sensor.saturation_gray) - sensor.dark_gray
+    squares: dict[str, Array] = {"rays": ray_error**2 * _where_rays_err(signal, sees)}
 
     def by_exposure(name: str, factor: Callable[[float], float | Array]) -> None:
         """A cause that multiplies the radiant exposure by factor(z) at z standard deviations."""
@@ -165,18 +170,19 @@ def uncertainty_squares(
     return squares
 
 
-def _where_rays_err(signal: Array) -> Array:
+def _where_rays_err(signal: Array, sees: NDArray[np.bool_] | None = None) -> Array:
     """Square of the rays' error at each pixel, over its mean: it goes with how much gray levels change around.
 
     The certificate knows the mean alone. Half of it is laid on edges, half on each pixel by its light, as in half
-    shadows rays err all over; where there is no light they cannot err.
+    shadows rays err all over; where there is no light they cannot err, nor where all of it is cut: but for `sees`.
     """
     framed = np.pad(signal, 1, mode="edge")
     change = (_of_nine(framed, np.maximum) - _of_nine(framed, np.minimum)) ** 2
-    light, edges = float((signal**2).mean()), float(change.mean())
+    even = signal**2 if sees is None else np.where(sees, signal, 0.0) ** 2
+    light, edges = float(even.mean()), float(change.mean())
     if light == 0.0:
-        return np.ones_like(signal)
-    even = signal**2 / light
+        return np.ones_like(signal) if edges == 0.0 else change / edges
+    even /= light
     return even if edges == 0.0 else _EVEN_SHARE * even + (1 - _EVEN_SHARE) * change / edges
 
 
