@@ -65,30 +65,30 @@ def light_that_is_seen(
     """
     sighted = without_dead(image, centre, half)
     light = light_of(sighted.image, response or Response())
+    if not sighted.warnings:
+        return light, ()
     return replace(light, usable=light.usable & ~sighted.blind), sighted.warnings
 
 
 def without_dead(image: GrayImage, centre: tuple[float, float], half: tuple[float, float]) -> Sighted:
     """Look for dead rows and columns in a box of half sides [px] about a centre (u, v)."""
-    values = image.values
-    (left, right), (top, bottom) = (_reach(*ends) for ends in zip(centre, half, values.shape[::-1], strict=True))
-    blind = np.zeros(values.shape, dtype=np.bool_)
-    box = values[top:bottom, left:right]
+    (left, right), (top, bottom) = (_reach(*ends) for ends in zip(centre, half, image.values.shape[::-1], strict=True))
+    box = image.values[top:bottom, left:right]
+    groups = [("row", top + begin, top + end) for begin, end in dead_rows(box)]
+    groups += [("column", left + begin, left + end) for begin, end in dead_rows(box.T)]
+    blind = np.zeros(image.values.shape, dtype=np.bool_)
+    if not groups:
+        return Sighted(image, blind, ())
+    bridged = image.values.copy()
     warnings = []
-    bridged = values
-    for name, first, some in (("row", top, box), ("column", left, box.T)):
-        groups = [(first + begin, first + end) for begin, end in dead_rows(some)]
-        for begin, end in groups:
-            across = (
-                (slice(begin, end), slice(left, right)) if name == "row" else (slice(top, bottom), slice(begin, end))
-            )
-            blind[across] = True
-            bridged = _bridged(bridged, begin, end, across, rows=name == "row")
-            which = f"{name} {begin} is" if end - begin == 1 else f"{name}s {begin} to {end - 1} are"
-            warnings.append(
-                f"{which} constant or dark across the caliper, as no lens shows it: dead pixels are left out"
-            )
-    return Sighted(image if bridged is values else GrayImage(bridged, image.bit_depth), blind, tuple(warnings))
+    for name, begin, end in groups:
+        is_row = name == "row"
+        across = (slice(begin, end), slice(left, right)) if is_row else (slice(top, bottom), slice(begin, end))
+        blind[across] = True
+        _bridge(bridged[:, left:right] if is_row else bridged[top:bottom].T, begin, end)
+        which = f"{name} {begin} is" if end - begin == 1 else f"{name}s {begin} to {end - 1} are"
+        warnings.append(f"{which} constant or dark across the caliper, as no lens shows it: dead pixels are left out")
+    return Sighted(GrayImage(bridged, image.bit_depth), blind, tuple(warnings))
 
 
 def _reach(middle: float, half: float, size: int) -> tuple[int, int]:
@@ -96,14 +96,11 @@ def _reach(middle: float, half: float, size: int) -> tuple[int, int]:
     return first, min(max(first, math.ceil(middle + half) + 1 + _MARGIN), size)
 
 
-def _bridged(values: Array, begin: int, end: int, across: tuple[slice, slice], *, rows: bool) -> Array:
-    """Straight from the last one that sees to the next; in whole gray levels, as others are."""
-    found = values.copy()
-    part = found[:, across[1]] if rows else found[across[0]].T
+def _bridge(part: Array, begin: int, end: int) -> None:
+    """Write over rows, straight from the last one that sees to the next; in whole gray levels, as others are."""
     share = (np.arange(begin, end) - begin + 1) / (end - begin + 1)
     between = part[begin - 1] + share[:, None] * (part[end] - part[begin - 1])
     part[begin:end] = np.rint(between) if (part == np.rint(part)).all() else between
-    return found
 
 
 def dead_rows(box: Array) -> list[tuple[int, int]]:
