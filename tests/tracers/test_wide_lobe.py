@@ -241,7 +241,8 @@ def test_a_table_that_bends_within_a_small_light(material: str) -> None:
 def test_nodes_leave_nothing_out(material: str) -> None:
     """One node for each standard deviation of a lobe missed a thousandth of its light, and no noise showed it."""
     cover, by_nodes = GLOSSY.get(material) or OTHERS[material], 0
-    roughness = cover.roughness  # type: ignore[union-attr]
+    assert isinstance(cover, Specular | PerturbedNormal)
+    roughness = cover.roughness
     for seed in range(24):
         random = np.random.default_rng([6, seed])
         size, turn = min(roughness * 2 ** random.uniform(0, 4.3), 1.5), random.uniform(0, 2 * math.pi)

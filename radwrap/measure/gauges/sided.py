@@ -47,7 +47,7 @@ def has_sides(
         Of the contour [light].
     """
     by_disc = _by_disc(shape, strip, state)
-    as_coma = (by_disc * np.square(state.blur.radii[1:])[:, None]).sum(axis=2)
+    as_coma = _as_coma(by_disc, state)
     beside = _Beside.of(shape, strip, state, some)
     least = SMALLEST * contrast
     return any(beside.shows(question, noise=noise, least=least) for question in (by_disc, as_coma))
@@ -68,7 +68,7 @@ def has_coma(
     if strip.light.size < _FEWEST * (len(shape.units) + state.terms.matrix.shape[1]) or not state.blur.shares.size:
         return False
     beside = _Beside.of(shape, strip, state, np.ones(strip.light.size, dtype=np.bool_))
-    as_coma = (_by_disc(shape, strip, state) * np.square(state.blur.radii[1:])[:, None]).sum(axis=2)
+    as_coma = _as_coma(_by_disc(shape, strip, state), state)
     # What lies there may be neither a slope nor coma: then it counts as noise.
     return beside.shows(as_coma, noise=max(noise, beside.variance), least=SMALLEST * contrast, false_alarm=false_alarm)
 
@@ -122,6 +122,11 @@ class _Beside:
         power, count = float(found @ found), len(found)
         enough = power > (least * self.weight) ** 2 * int(self.some.sum()) + count * noise
         return bool(count and enough and power > noise * float(chdtri(count, false_alarm)))
+
+
+def _as_coma(by_disc: Array, state: State) -> Array:
+    """All discs as coma moves them: by the squares of their radii."""
+    return np.asarray((by_disc * np.square(state.blur.radii[1:])[:, None]).sum(axis=2))
 
 
 def _by_disc(shape: Shape, strip: Strip, state: State) -> Array:
